@@ -19,15 +19,15 @@ use trueup_link::{
     frame::Frame,
     frames::{self, DecodeError, OFFSET_XY_ID},
     layout::{
-        CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID,
-        POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, STATUS_ID,
+        CONDITIONS_ID, CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, OFFSET_Z_ID, POSITION_X_ID,
+        POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, STATUS_ID,
     },
     status::{self, Item},
 };
 use trueup_node::vectors::Random;
 
 const FRAMES: u32 = 100_000;
-const IDS: [u16; 11] = [
+const IDS: [u16; 12] = [
     OFFSET_XY_ID,
     OFFSET_Z_ID,
     STATUS_ID,
@@ -39,6 +39,7 @@ const IDS: [u16; 11] = [
     ROTARY_ID,
     SPINDLE_ID,
     CONTROL_ID,
+    CONDITIONS_ID,
 ];
 
 /// Names and values in the DBC's units; `None`: not available.
@@ -182,6 +183,12 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
             let read = frames::decode_spindle(frame)?;
             let values = vec![one("Speed", read.speed.0.into()), one("Load", read.load_n.into())];
             (frames::spindle(read, counter), values)
+        }
+        CONDITIONS_ID => {
+            let read = frames::decode_conditions(frame)?;
+            let bit = |n: u8| one(&format!("Condition{n}"), f64::from(u8::from(read.has(n))));
+            let values = [one("Tool", read.tool.into())].into_iter().chain((0..16).map(bit));
+            (frames::conditions(read, counter), values.collect())
         }
         CONTROL_ID => {
             let read = frames::decode_control(frame)?;

@@ -254,7 +254,7 @@ fn any_bytes_on_the_serial_line_are_answered_or_passed_over() {
 
 /// Frames of eight bytes under the identifiers of the wire, protected, as these bytes say.
 fn frames_of(bytes: &[u8]) -> impl Iterator<Item = Frame> {
-    const IDS: [u16; 9] = [0x201, 0x301, 0x401, 0x501, 0x202, 0x302, 0x181, 0x281, 0x381];
+    const IDS: [u16; 10] = [0x201, 0x301, 0x401, 0x501, 0x202, 0x302, 0x402, 0x181, 0x281, 0x381];
     bytes.as_chunks::<10>().0.iter().map(|bytes| {
         let id = IDS[usize::from(bytes[0]) % IDS.len()];
         let mut data: [u8; 8] = bytes[1..9].try_into().expect("8 of 10");

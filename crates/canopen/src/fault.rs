@@ -178,6 +178,8 @@ faults! {
     ReferenceOffered 0x6304 "reference-offered" BOARD REFERENCE_OFFERED;
     /// The calibration was changed while no CNC was heard, and waits for `Confirm`.
     CalibrationChanged 0x6305 "calibration-changed" BOARD CALIBRATION_CHANGED;
+    /// The tool and the conditions that the calibration needs are missing, while `Control` comes.
+    ConditionsLost 0x8102 "conditions-lost" COMMUNICATION CONDITIONS_LOST;
 }
 
 impl Fault {

@@ -156,6 +156,13 @@ fn of_run(
         }
         output::print(words)?;
     }
-    let does = json!({"rows": run.rows(), "known_columns": known, "other_columns": others});
+    let suggestions = check::conditions(run, machine);
+    if !as_json {
+        suggestions.iter().try_for_each(|it| output::print(format_args!("  {it}")))?;
+    }
+    let does = json!({
+        "rows": run.rows(), "known_columns": known, "other_columns": others,
+        "suggestions": suggestions,
+    });
     Ok((check::run(run, machine), does))
 }

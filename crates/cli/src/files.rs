@@ -92,6 +92,7 @@ pub fn run_to_fit(path: &Path, machine: Option<&Machine>) -> Result<RunFile, Bad
 /// # Errors
 /// A column is impossible in the unit of its name, and not accepted.
 pub fn usable(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+    let run = with_tool_numbers(run, machine)?;
     let path = run.path().to_path_buf();
     let (run, reported) = trusted(run, machine);
     report::in_short(&path, &reported);
@@ -99,6 +100,13 @@ pub fn usable(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInp
     report::in_short(&path, &check::run(&run, machine));
     report::remarks(&check::remarks(&run));
     Ok(run)
+}
+
+fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
+    match machine {
+        Some(machine) => run.with_tool_numbers(machine),
+        None => Ok(run),
+    }
 }
 
 fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
@@ -114,7 +122,8 @@ fn refuse_slips(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput
 
 /// The same as [`run_to_fit`] for a command that looks after the names of the columns and the faults of thermometers itself.
 pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, BadInput> {
-    let (run, reported) = with_directions(runs::read(path)?, Some(machine));
+    let run = with_tool_numbers(runs::read(path)?, Some(machine))?;
+    let (run, reported) = with_directions(run, Some(machine));
     report::in_short(path, &reported);
     let (sound, _) = without_fault_values(run.clone());
     refuse_slips(&sound, Some(machine))?;

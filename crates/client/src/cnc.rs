@@ -2,7 +2,7 @@
 //! serial line.
 
 use trueup_core::{
-    cnc::Command,
+    cnc::{Command, Conditions},
     units::{MicroDegrees, Position},
 };
 use trueup_link::{frame::Frame, receiver::Receiver};
@@ -21,6 +21,7 @@ const VALUES: usize = COLUMNS.len() + 2;
 pub struct Cnc {
     receiver: Receiver,
     values: [Option<(f64, u64)>; VALUES],
+    conditions: Option<(Conditions, u64)>,
 }
 
 impl Cnc {
@@ -30,6 +31,7 @@ impl Cnc {
         let mut note = |column: usize, value: f64| self.values[column] = Some((value, now_ms));
         match command {
             Command::Control(_) => {}
+            Command::Conditions(it) => self.conditions = Some((it, now_ms)),
             Command::Spindle(spindle) => {
                 note(0, spindle.speed.0.into());
                 note(1, spindle.load_n.into());
@@ -50,6 +52,13 @@ impl Cnc {
     fn value(&self, column: usize, now_ms: u64) -> Option<f64> {
         let (value, at_ms) = self.values[column]?;
         (now_ms.saturating_sub(at_ms) <= TIMEOUT_MS).then_some(value)
+    }
+
+    /// Returns the tool and the conditions of the machine.
+    #[must_use]
+    pub fn conditions(&self, now_ms: u64) -> Option<Conditions> {
+        let (conditions, at_ms) = self.conditions?;
+        (now_ms.saturating_sub(at_ms) <= TIMEOUT_MS).then_some(conditions)
     }
 
     /// The speed of the spindle in r/min, at least 0.

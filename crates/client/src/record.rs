@@ -33,7 +33,7 @@ use trueup_link::{
 };
 use trueup_machine::{
     Machine, MachineFile,
-    file::{Quantity, SensorModel},
+    file::{Quantity, SensorModel, TOOL_COLUMN},
     model::sensor_counts,
 };
 
@@ -82,6 +82,8 @@ struct Columns {
     sensor: Option<SensorModel>,
     /// The names of the angles, in the order of the axes that carry the spindle.
     angles: [String; 2],
+    /// Bit and name of each condition.
+    conditions: Vec<(u8, String)>,
 }
 
 impl Recorder {
@@ -208,6 +210,11 @@ impl Recorder {
             decimals(centi_c.map(|it| f64::from(it) / 100.0), 2)
         }));
         cells.extend(self.cnc.cells(self.clock.ms));
+        let conditions = self.cnc.conditions(self.clock.ms);
+        let cell = |value: Option<u16>| value.map(|it| it.to_string()).unwrap_or_default();
+        cells.push(cell(conditions.map(|it| it.tool)));
+        let bits = self.columns.conditions.iter();
+        cells.extend(bits.map(|(bit, _)| cell(conditions.map(|it| it.has(*bit).into()))));
         cells.join(",")
     }
 }
@@ -229,13 +236,15 @@ impl Columns {
         for (name, axis) in angles.iter_mut().zip(&machine.head_axes) {
             *name = format!("{}_deg", axis.name());
         }
-        Self { temperatures, sensor: machine.sensor_on_board().cloned(), angles }
+        let conditions = machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
+        let conditions = conditions.map(|(name, it)| (it.bit, name.clone())).collect();
+        Self { temperatures, sensor: machine.sensor_on_board().cloned(), angles, conditions }
     }
 
     fn unnamed() -> Self {
         let name = |channel| (channel, format!("temp_channel{channel}_c"));
         let temperatures = (0..CHANNELS as u8).map(name).collect();
-        Self { temperatures, sensor: None, angles: Self::numbered() }
+        Self { temperatures, sensor: None, angles: Self::numbered(), conditions: Vec::new() }
     }
 
     fn numbered() -> [String; 2] {
@@ -260,6 +269,8 @@ impl Columns {
         .chain(temperatures)
         .chain(cnc::COLUMNS)
         .chain(self.angles.each_ref().map(String::as_str))
+        .chain([TOOL_COLUMN])
+        .chain(self.conditions.iter().map(|(_, name)| name.as_str()))
         .collect::<Vec<_>>()
         .join(",")
     }

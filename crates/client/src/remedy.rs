@@ -7,7 +7,7 @@ pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
 }
 
 /// Every word, with what it means and what to do.
-pub const REMEDIES: [(&str, &str); 60] = [
+pub const REMEDIES: [(&str, &str); 61] = [
     ("self-test", "the board found itself damaged: flash it again; if it stays, replace the board"),
     ("no-calibration", "load one: trueup bridge load CAL.bin --port …"),
     ("example-constants", "it runs on the example: compile your machine file and load it"),
@@ -58,6 +58,7 @@ pub const REMEDIES: [(&str, &str); 60] = [
     ("source-dead", "a spare source is dead: look for the temperature that is not available"),
     ("calibration-unfit", "what is measured no longer fits: measure the machine again and fit"),
     ("place-lost", "the CNC sends no position or angle that is needed: check what it sends"),
+    ("conditions-lost", "the CNC sends no Conditions: the defaults of the file stand in for them"),
     ("cnc-lost", "no frames from the CNC: check cable, bit rate, and that its program runs"),
     (
         "position-jump",

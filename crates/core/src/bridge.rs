@@ -18,6 +18,7 @@
 //! | engages | all fresh | −(error − reference), at the slew limit | live |
 //! | engages | the sensor is lost, another source is configured | the same | temperature or warm-up model |
 //! | engages | a temperature changed too fast, no other source | the same, by the last believed temperature | hold |
+//! | engages | tool and conditions are lost, after `hold_ms` | the same, by their stated defaults | temperature model |
 //! | engages, or was lost while engaged | any is lost | as it is, for `hold_ms` | hold |
 //! | the same, after `hold_ms` | | to 0, at the slew limit | ramping out |
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
@@ -45,6 +46,7 @@
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
 mod agreement;
+mod conditions;
 mod joint;
 mod lost;
 mod needs;
@@ -54,6 +56,7 @@ mod sources;
 mod state;
 
 pub use self::agreement::{LASTS_STEPS, LEAST_NM};
+pub use self::conditions::CONDITIONS_TIMEOUTS;
 pub use self::joint::KeptJoint;
 use self::joint::SelectedSource;
 pub use self::lost::LostInputs;
@@ -138,7 +141,13 @@ impl<'a> Bridge<'a> {
                 state.control.hear(control);
                 state.cnc_known = true;
             }
-            Command::Spindle(spindle) => state.spindle.hear(spindle),
+            Command::Spindle(spindle) => {
+                state.spindle.hear(spindle);
+                if self.needs.category_speed && state.heat.turn(spindle.speed) {
+                    self.term_warmed(state);
+                }
+            }
+            Command::Conditions(conditions) => self.hear_conditions(state, conditions),
             Command::Rotary(Rotary { angles }) => {
                 let kinematics = &self.calibration.kinematics;
                 let direction = match state.tool.latest() {
@@ -187,7 +196,10 @@ impl<'a> Bridge<'a> {
 
         let chosen = self.select(state, elapsed_ms);
         let place = self.knows_place(state);
-        let fresh = chosen != SelectedSource::Missing && place && self.knows_temperatures(state);
+        let fresh = self.knows_conditions(state)
+            && chosen != SelectedSource::Missing
+            && place
+            && self.knows_temperatures(state);
         let control = state.control.value(limits.link_timeout_ms);
         let mode = state.mode(control, fresh, limits.hold_ms);
         let (mut status, mut outside, mut rejoins) = (LimitStatus::default(), false, false);
@@ -213,7 +225,10 @@ impl<'a> Bridge<'a> {
             self.sensor_is_lost(state, missing) || state.channels.any_faulty(self.needs.watched);
         let quality = match mode {
             Mode::Follow if self.holds_temperature(state, chosen) => Quality::Hold,
-            Mode::Follow => self.quality(chosen),
+            Mode::Follow => match self.quality(chosen) {
+                Quality::Live if state.conditions.by_default => Quality::TemperatureModel,
+                quality => quality,
+            },
             Mode::Hold => Quality::Hold,
             Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
             Mode::RampOut if state.barred || self.is_faulty(state, chosen) => Quality::Fault,

@@ -16,6 +16,8 @@ pub enum Command {
     Position(AxisPosition),
     /// Where the rotary axes of the head are sent.
     Rotary(Rotary),
+    /// The tool and the switches of the machine.
+    Conditions(Conditions),
 }
 
 /// The CNC's sign of life, and what it allows the bridge to do.
@@ -57,6 +59,23 @@ pub struct Spindle {
     pub speed: Rpm,
     /// Axial cutting force in newtons; pushing the tool back is positive.
     pub load_n: i16,
+}
+
+/// The tool in the spindle, and the switches of the machine that a correction may depend on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Conditions {
+    /// The number of the tool; 0: none.
+    pub tool: u16,
+    /// A bit for each condition.
+    pub bits: u16,
+}
+
+impl Conditions {
+    /// Returns whether the condition of this bit, 0…15, holds.
+    #[must_use]
+    pub const fn has(self, bit: u8) -> bool {
+        self.bits & 1_u16.wrapping_shl(bit as u32) != 0
+    }
 }
 
 /// A linear axis of the machine.

@@ -8,6 +8,12 @@ pub const CHANNELS: usize = 8;
 /// The most terms of a diagnosis that a calibration holds.
 pub const MAX_TERMS: usize = 16;
 
+/// The conditions of the machine that the CNC sends, a bit each.
+pub const CONDITIONS: u8 = 16;
+
+/// The most tools that a term over the tool knows.
+pub const MAX_TOOLS: usize = 32;
+
 /// Conversions of the displacement sensor in one tick: 1 ms at 20 kS/s.
 pub const CODES_PER_TICK: usize = 20;
 

@@ -9,6 +9,7 @@
 
 use crate::{
     calibration::Calibration,
+    cnc::Conditions,
     dimensions::{CHANNELS, MAX_TERMS},
     gradient::Gradient,
     heat_memory::{HeatMemory, KeptLag, Key},
@@ -148,7 +149,8 @@ impl Heat {
     #[inline(never)]
     pub fn wait(&mut self, is_cold: bool) {
         if is_cold && self.is_unknown() {
-            *self = Self { learned: self.learned, ..Self::default() };
+            let terms = self.terms.without_heat();
+            *self = Self { learned: self.learned, terms, ..Self::default() };
         } else {
             self.unknown_steps = self.unknown_steps.saturating_sub(1);
         }
@@ -214,6 +216,16 @@ impl Heat {
         for _ in 0..steps {
             self.terms.step(&calibration.terms, term, &[None; CHANNELS], None, true);
         }
+    }
+
+    /// Takes what the CNC says of tool and conditions; `None`: the defaults hold.
+    pub fn select(&mut self, calibration: &Calibration<'_>, conditions: Option<Conditions>) {
+        self.terms.select(&calibration.terms, conditions);
+    }
+
+    /// Takes the speed for the terms by category; returns whether it is another one.
+    pub fn turn(&mut self, speed: Rpm) -> bool {
+        self.terms.turn(speed)
     }
 
     /// What heat and time have made of the terms of a diagnosis.

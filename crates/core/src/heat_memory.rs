@@ -33,6 +33,8 @@ impl Key {
     pub const RUNNING: u8 = 255;
     /// In place of a channel: time since the start.
     pub const TIME: u8 = 254;
+    /// In place of a channel: a condition of the machine, with its bit, 0…15.
+    pub const CONDITION: u8 = 128;
     /// In place of a channel: the spindle's speed.
     pub const SPEED: u8 = 253;
     /// In place of a channel: its square.

@@ -9,9 +9,11 @@
 //! position    + gradient·P               load      + m·F
 //! reversed    + β·(w + gradient·P)       wave      + a·sin(2π·P/L + φ)
 //!                                        speed heat + m·lag_τ(n) or m·lag_τ(n²), from 0
+//! tool        + m(tool)·f                condition + (m₀ + (m₁ − m₀)·lag_τ(s))·f
 //! ```
 //!
-//! and a table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt).
+//! f is 1, n², P, or the growth by the source's own law, and s is 1 while the condition holds ([`category`]).
+//! A table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt) are added as well.
 //! Each also adds a constant. β is the fraction of the approach
 //! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point
 //! ([`Scaled`](crate::fixed::Scaled)), so that a coefficient of any size keeps 30 bits. Heat and time are stepped every
@@ -20,6 +22,7 @@
 //! Everything is 1/256 nm. Measured worst error against `f64`, from the largest to the smallest
 //! coefficients: half of that unit for each product, and 0.004 nm for a wave of 100 µm.
 
+mod category;
 mod effect;
 mod states;
 mod sum;
@@ -27,7 +30,8 @@ mod sum;
 mod tests;
 mod tilt;
 
-pub use effect::{Effect, SpeedPower, Target, Term, Terms, UNIT_STEP, heat_terms};
+pub use category::{Factor, OnOff, ToolTable, UNIT_STEP};
+pub use effect::{Effect, SpeedPower, Target, Term, Terms, heat_terms};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, axis_errors, elongation};
 pub use tilt::{LEVER, Tilt};

@@ -5,6 +5,7 @@ use std::{borrow::Cow, sync::Arc};
 use trueup_machine::{
     effect::{Columns, Input},
     file::{LinearAxis, Quantity},
+    model::Lag,
 };
 
 use crate::{
@@ -84,6 +85,12 @@ impl Columns for Table<'_> {
             },
             Input::Position(axis) => whole(position(data, axis)),
             Input::Column(column) => whole(named(data, column).or_else(|| data.own_position())),
+            Input::Switch { column, lag_s } => {
+                let (time_s, values) = (whole(data.time_s.as_deref()), whole(named(data, column)));
+                let mut lag = Lag::default();
+                let rows = time_s.iter().zip(values.iter());
+                Cow::Owned(rows.map(|(time_s, value)| lag.step(lag_s, *time_s, *value)).collect())
+            }
         }
     }
 }

@@ -63,7 +63,7 @@ fn a_switch_is_named_with_its_size_and_what_is_no_input_is_not() {
     assert_eq!((found.cause.as_str(), found.column.as_deref()), ("dependence", Some("door_open")));
     assert_eq!(
         (found.form, found.times.as_deref(), found.compensated),
-        (Some("level"), None, false)
+        (Some("level"), None, true)
     );
     let ci95 = &found.parameters["level_um"]["ci95"][0];
     let [low, high] = [0, 1].map(|end| ci95[end].as_f64().expect("a number"));

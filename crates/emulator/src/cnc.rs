@@ -24,6 +24,7 @@ pub struct Cnc<S> {
     spindle_counter: u8,
     position_counters: [u8; 3],
     rotary_counter: u8,
+    conditions_counter: u8,
     /// The pairing and checking of the offsets.
     pub offsets: OffsetReceiver,
 }
@@ -45,6 +46,7 @@ impl<S: Read + Write> Cnc<S> {
             spindle_counter: 0,
             position_counters: [0; 3],
             rotary_counter: 0,
+            conditions_counter: 0,
             offsets: OffsetReceiver::new(),
         };
         cnc.write(b"\rC\rV\r")?;
@@ -113,6 +115,10 @@ impl<S: Read + Write> Cnc<S> {
             Command::Rotary(rotary) => {
                 (frames::rotary(rotary, self.rotary_counter), &mut self.rotary_counter)
             }
+            Command::Conditions(conditions) => (
+                frames::conditions(conditions, self.conditions_counter),
+                &mut self.conditions_counter,
+            ),
         };
         *counter = counter.wrapping_add(1);
         self.ask(encode_line(&frame).trim_end()).map(drop)

@@ -8,14 +8,14 @@ use std::collections::BTreeMap;
 
 use trueup_core::{
     channels::RawTemperatures,
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary},
+    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary},
     dimensions::CHANNELS,
     pt100,
     thermometer::Raw,
     units::{MicroDegrees, Position, Rpm, Temperature},
 };
 use trueup_machine::{
-    file::{ElongationSource, Machine},
+    file::{ElongationSource, Machine, TOOL_COLUMN},
     inputs::{TemperatureInput, TemperatureKind},
     location::BadInput,
     run_file::RunFile,
@@ -44,6 +44,8 @@ pub struct Situation {
     pub positions: [Option<AxisPosition>; 3],
     /// Where the rotary axes of the head are sent, if the run says so.
     pub rotary: Option<Rotary>,
+    /// The tool and the conditions, if the run says one of them.
+    pub conditions: Option<Conditions>,
     /// What the CNC says, where it is not a client of the serial line.
     pub control: Option<Control>,
 }
@@ -128,9 +130,11 @@ impl Replay {
             "time_s" | "spindle_rpm" => true,
             "sensor_counts" => inputs.is_some_and(|inputs| inputs.sensor.is_some()),
             _ if POSITIONS.contains(&name) || DIRECTIONS.contains(&name) => true,
+            TOOL_COLUMN => true,
             _ => {
-                inputs.is_some_and(|inputs| inputs.temperatures.contains_key(name))
-                    || machine.head_axes.iter().any(|axis| angle_column(axis.name()) == name)
+                inputs.is_some_and(|inputs| {
+                    inputs.temperatures.contains_key(name) || inputs.conditions.contains_key(name)
+                }) || machine.head_axes.iter().any(|axis| angle_column(axis.name()) == name)
             }
         }
     }
@@ -180,6 +184,9 @@ struct Columns<'r> {
     /// The head's axes in their order.
     angles: Vec<(String, Option<&'r [f64]>)>,
     angles_deg: [Option<f64>; 2],
+    tool: Option<&'r [f64]>,
+    /// Columns of conditions with their bits.
+    conditions: Vec<(&'r [f64], u8)>,
 }
 
 impl<'r> Columns<'r> {
@@ -197,6 +204,13 @@ impl<'r> Columns<'r> {
             before_mm: [None; 3],
             angles: heads.map(|name| (name.clone(), run.column(&name))).collect(),
             angles_deg: [None; 2],
+            tool: run.column(TOOL_COLUMN),
+            conditions: machine
+                .inputs
+                .iter()
+                .flat_map(|inputs| &inputs.conditions)
+                .filter_map(|(name, input)| Some((run.column(name)?, input.bit)))
+                .collect(),
         }
     }
 
@@ -252,6 +266,32 @@ impl<'r> Columns<'r> {
                 MicroDegrees(whole(micro_degrees).unwrap_or(0))
             };
             now.rotary = Some(Rotary { angles: self.angles_deg.map(micro) });
+        }
+        self.take_conditions(row, now)
+    }
+}
+
+impl Columns<'_> {
+    /// Tool and conditions; a missing value is that of the row before.
+    fn take_conditions(&self, row: usize, now: &mut Situation) -> Result<(), BadInput> {
+        if self.tool.is_none() && self.conditions.is_empty() {
+            return Ok(());
+        }
+        let said = now.conditions.get_or_insert_default();
+        if let Some(tool) = self.tool.map(|tools| tools[row]).filter(|tool| !tool.is_nan()) {
+            let number = whole(tool).and_then(|tool| u16::try_from(tool).ok());
+            said.tool = number.ok_or_else(|| {
+                let rule = "is a label that has no number in [spindle.tools]";
+                self.run.bad(row, TOOL_COLUMN, rule)
+            })?;
+        }
+        for (column, bit) in &self.conditions {
+            let bit = 1_u16 << bit;
+            match column[row] {
+                1.0 => said.bits |= bit,
+                0.0 => said.bits &= !bit,
+                _ => {}
+            }
         }
         Ok(())
     }

@@ -1,5 +1,5 @@
-//! Stands in for a CNC that does not say where its axes are: sends the positions and angles of the
-//! run on the bus, as often as a CNC would, each until the CNC sends that frame itself. Where a
+//! Stands in for a CNC that does not say where its axes are: sends the positions, angles, tool and conditions
+//! of the run on the bus, as often as a CNC would, each until the CNC sends that frame itself. Where a
 //! hand plays the CNC, its `Control` as well.
 
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -8,8 +8,8 @@ use trueup_link::{
     frame::Frame,
     frames,
     layout::{
-        CONTROL_PERIOD_MS, POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
-        ROTARY_ID,
+        CONDITIONS_ID, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, POSITION_X_ID,
+        POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID,
     },
 };
 use trueup_pipe::FRAMES;
@@ -17,10 +17,15 @@ use trueup_pipe::FRAMES;
 use crate::replay::Situation;
 
 /// The frames that a run can stand in for.
-const IDS: [u16; 4] = [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID];
-/// The place of `Control`, behind them: a tool that writes sends one itself now and then, and is no CNC.
-const CONTROL: usize = IDS.len();
+const IDS: [u16; 5] = [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, CONDITIONS_ID];
+/// The place of `Conditions` among them, which goes out alone, between two cycles of the others.
+const CONDITIONS: usize = IDS.len() - 1;
+/// The place of `Control` in a cycle: a tool that writes sends one itself now and then, and is no CNC.
+const CONTROL: usize = CONDITIONS;
 const _: () = assert!(CONTROL < FRAMES);
+/// When in its period `Conditions` goes out: in an odd millisecond.
+const BETWEEN_MS: u32 = CONDITIONS_PERIOD_MS / 2;
+const _: () = assert!(!BETWEEN_MS.is_multiple_of(POSITION_PERIOD_MS));
 
 /// Which of these frames the CNC has sent itself: a bit each.
 #[derive(Debug, Default)]
@@ -47,6 +52,7 @@ pub struct StandIn {
     ms: u32,
     /// Each identifier counts for itself.
     counters: [u8; CONTROL + 1],
+    conditions_counter: u8,
 }
 
 impl StandIn {
@@ -55,6 +61,12 @@ impl StandIn {
         let ms = self.ms;
         self.ms = self.ms.wrapping_add(1);
         let mut sent = [None; FRAMES];
+        if ms % CONDITIONS_PERIOD_MS == BETWEEN_MS && !heard.has(CONDITIONS) {
+            let said = now.conditions;
+            sent[0] = said.map(|said| frames::conditions(said, self.conditions_counter));
+            self.conditions_counter = self.conditions_counter.wrapping_add(said.is_some().into());
+            return sent;
+        }
         if !ms.is_multiple_of(POSITION_PERIOD_MS) {
             return sent;
         }
@@ -66,7 +78,7 @@ impl StandIn {
         }
         sent[3] = now.rotary.map(|there| frames::rotary(there, self.counters[3]));
         for (place, counter) in self.counters.iter_mut().enumerate() {
-            if heard.has(place) {
+            if place != CONTROL && heard.has(place) {
                 sent[place] = None;
             } else if sent[place].is_some() {
                 *counter = counter.wrapping_add(1);
@@ -80,7 +92,7 @@ impl StandIn {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Rotary},
+        cnc::{AxisPosition, Command, Conditions, Control, Heading, LinearAxis, Rotary},
         units::Position,
     };
     use trueup_link::receiver::Receiver;
@@ -114,6 +126,22 @@ mod tests {
         assert_eq!(ids(2).len(), 3, "none of these is a position");
         heard.note(b"t20180000000000000000");
         assert_eq!(ids(2), [POSITION_Z_ID, ROTARY_ID]);
+    }
+
+    #[test]
+    fn conditions_are_sent_every_50_ms_until_the_cnc_says_them() {
+        let said = Conditions { tool: 7, bits: 5 };
+        let now = Situation { conditions: Some(said), ..Situation::default() };
+        let (mut stand_in, heard, mut receiver) =
+            (StandIn::default(), ReceivedFrames::default(), Receiver::new());
+        let mut count = |heard: &ReceivedFrames| {
+            let frames = (0..1_000).flat_map(|_| stand_in.frames(&now, heard)).flatten();
+            let heard = frames.map(|frame| receiver.accept(&frame).expect("in order"));
+            heard.filter(|it| *it == Some(Command::Conditions(said))).count()
+        };
+        assert_eq!(count(&heard), 20);
+        heard.note(b"t40280000000000000000");
+        assert_eq!(count(&heard), 0);
     }
 
     #[test]

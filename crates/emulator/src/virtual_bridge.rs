@@ -69,7 +69,7 @@ pub fn run(
     // A plant is connected to when all else is ready: it waits for its first answer from then on.
     let played = match (&options.run, &options.plant) {
         (Some(path), _) => {
-            let run = RunFile::read(path)?;
+            let run = RunFile::read(path)?.with_tool_numbers(machine)?;
             let names = run.columns().iter().map(|column| column.name.as_str());
             let unused: Vec<_> = names.filter(|name| !Replay::uses(machine, name)).collect();
             if !unused.is_empty() {

@@ -203,7 +203,10 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
                 "it changes while the machine runs, which no table of a control follows; the bridge does"
             }
         };
-        left_out.push((term_name(index, term), reason.to_string()));
+        // The growth by tool is the last term.
+        let is_list = machine.spindle.tools.is_some() && index + 1 == machine.terms.len();
+        let name = if is_list { "spindle.tools".into() } else { term_name(index, term) };
+        left_out.push((name, reason.to_string()));
     }
     left_out
 }

@@ -7,25 +7,29 @@
 use core::{error::Error, fmt};
 
 use trueup_core::{
-    cnc::{AxisPosition, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary, Spindle},
+    cnc::{
+        AxisPosition, Conditions, Control, Flags, Heading, LinearAxis, Output, Quality, Rotary,
+        Spindle,
+    },
     learned::Change,
     units::{MicroDegrees, Nanometres, Position, Rpm},
 };
 
 pub use crate::layout::{
-    CONTROL_ID, CONTROL_PERIOD_MS, HEARTBEAT_ID, HEARTBEAT_PERIOD_MS, OFFSET_PERIOD_MS,
-    OFFSET_XY_ID, OFFSET_Z_ID, POSITION_PERIOD_MS, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
-    ROTARY_ID, ROTARY_PERIOD_MS, SPINDLE_ID, SPINDLE_PERIOD_MS,
+    CONDITIONS_ID, CONDITIONS_PERIOD_MS, CONTROL_ID, CONTROL_PERIOD_MS, HEARTBEAT_ID,
+    HEARTBEAT_PERIOD_MS, OFFSET_PERIOD_MS, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_PERIOD_MS,
+    POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, ROTARY_PERIOD_MS, SPINDLE_ID,
+    SPINDLE_PERIOD_MS,
 };
 use crate::{
     bits::Signal,
     e2e,
     frame::Frame,
     layout::{
-        AGE, ANGLE_1, ANGLE_2, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
+        AGE, ANGLE_1, ANGLE_2, CONDITIONS, CONFIRM, DIRECTION, ENGAGE, FLAGS, LEARNED, LEARNED_CRC,
         LEARNED_PART, LOAD, MICRO_DEGREES_PER_BIT, NANOMETRES_PER_BIT, NOT_AVAILABLE_RAW,
         OFFSET_MAX_RAW, OFFSET_X, OFFSET_Y, OFFSET_Z, POSITION, QUALITY, REFERENCED, SERVICE,
-        SPEED, STATE, ZERO,
+        SPEED, STATE, TOOL, ZERO,
     },
 };
 
@@ -152,6 +156,26 @@ pub fn control(control: Control, counter: u8) -> Frame {
     protected(CONTROL_ID, counter, data)
 }
 
+/// `Conditions`: the tool and the conditions of the machine, from the CNC. `counter` counts the frames of this
+/// identifier.
+///
+/// ```
+/// use trueup_core::cnc::Conditions;
+/// use trueup_link::frames;
+/// let sent = Conditions { tool: 0x0107, bits: 0x8001 };
+/// let frame = frames::conditions(sent, 7);
+/// assert_eq!(frame.id(), 0x402);
+/// assert_eq!(frame.data()[2..], [0x07, 0x07, 0x01, 0x01, 0x80, 0x00]);
+/// assert_eq!(frames::decode_conditions(&frame), Ok(sent));
+/// ```
+#[must_use]
+pub fn conditions(conditions: Conditions, counter: u8) -> Frame {
+    let mut data = [0; 8];
+    TOOL.insert(&mut data, conditions.tool.into());
+    CONDITIONS.insert(&mut data, conditions.bits.into());
+    protected(CONDITIONS_ID, counter, data)
+}
+
 /// How a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
 /// frames without it, with the counters 0, 1 and 2.
 #[must_use]
@@ -273,6 +297,19 @@ pub fn decode_control(frame: &Frame) -> Result<Control, DecodeError> {
             amount: i16::from_le_bytes([amount_low, amount_high]),
             calibration: u16::from_le_bytes([crc_low, crc_high]),
         },
+    })
+}
+
+/// Returns what a `Conditions` frame says.
+///
+/// # Errors
+/// [`DecodeError`] for another identifier or length.
+pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
+    // Both lie in whole bytes.
+    let [_, _, _, tool_low, tool_high, bits_low, bits_high, _] = *data_of(frame, CONDITIONS_ID, 8)?;
+    Ok(Conditions {
+        tool: u16::from_le_bytes([tool_low, tool_high]),
+        bits: u16::from_le_bytes([bits_low, bits_high]),
     })
 }
 

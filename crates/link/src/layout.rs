@@ -17,14 +17,15 @@
 //! | `PositionX`, `PositionY`, `PositionZ` | 3 × 500 | 202 500 | 20.25 % |
 //! | `Rotary` | 500 | 67 500 | 6.75 % |
 //! | `Spindle`, `Control` | 2 × 50 | 13 500 | 1.35 % |
+//! | `Conditions` | 20 | 2 700 | 0.27 % |
 //! | `Status` | 10 | 1 350 | 0.14 % |
 //! | `Heartbeat` | 10 | 650 | 0.07 % |
-//! | all of these | | 555 500 | 55.55 % |
+//! | all of these | | 558 200 | 55.82 % |
 //! | emergencies and answers to SDO requests, with the two above | 500 | 67 500 | 6.75 % |
 //! | SDO requests, each after the answer to the one before | 500 | 67 500 | 6.75 % |
-//! | all, the two above counted once more | | 690 500 | 69.05 % |
+//! | all, the two above counted once more | | 693 200 | 69.32 % |
 //!
-//! Without any stuffing the cyclic frames are 45.68 %. Whatever the bridge has to say besides waits
+//! Without any stuffing the cyclic frames are 45.90 %. Whatever the bridge has to say besides waits
 //! until its turn: one frame every 2 ms, so that a bulk transfer cannot delay an offset. A CNC that
 //! sends its positions every millisecond would bring the worst case to 83 %, 96 % with a transfer.
 
@@ -58,6 +59,8 @@ pub const ROTARY_ID: u16 = 0x501;
 pub const SPINDLE_ID: u16 = 0x202;
 /// Identifier of the CNC's sign of life.
 pub const CONTROL_ID: u16 = 0x302;
+/// Identifier of the tool and the conditions of the machine.
+pub const CONDITIONS_ID: u16 = 0x402;
 
 /// Milliseconds from one pair of offset frames to the next.
 pub const OFFSET_PERIOD_MS: u32 = 1;
@@ -77,6 +80,8 @@ pub const ROTARY_PERIOD_MS: u32 = 2;
 pub const SPINDLE_PERIOD_MS: u32 = 20;
 /// Shortest time in milliseconds between two `Control` frames.
 pub const CONTROL_PERIOD_MS: u32 = 20;
+/// Shortest time in milliseconds between two `Conditions` frames.
+pub const CONDITIONS_PERIOD_MS: u32 = 50;
 
 /// Nanometres in one bit of an offset.
 pub const NANOMETRES_PER_BIT: i32 = 10;
@@ -171,6 +176,12 @@ pub const LEARNED_PART: Signal = Signal::unsigned(29, 3);
 pub const LEARNED: Signal = Signal::signed(32, 16);
 /// The lower half of the CRC of that calibration.
 pub const LEARNED_CRC: Signal = Signal::unsigned(48, 16);
+/// The number of the tool in the spindle; 0: none.
+pub const TOOL: Signal = Signal::unsigned(24, 16);
+/// The first of the conditions; the others follow, a bit each.
+pub const CONDITION_0: Signal = Signal::unsigned(40, 1);
+/// All conditions.
+pub const CONDITIONS: Signal = Signal::unsigned(CONDITION_0.start, 16);
 
 #[cfg(test)]
 mod tests;

@@ -12,8 +12,8 @@ use crate::{
     e2e::E2eError,
     frame::Frame,
     frames::{
-        self, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ, POSITION_X_ID,
-        POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
+        self, CONDITIONS_ID, CONTROL_ID, DecodeError, OFFSET_XY_ID, OFFSET_Z_ID, OffsetXy, OffsetZ,
+        POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID,
     },
     layout::STATUS_ID,
     status::{self, Reason, Status},
@@ -89,6 +89,7 @@ pub struct Receiver {
     rotary: Stream,
     spindle: Stream,
     control: Stream,
+    conditions: Stream,
     counters: Counters,
 }
 
@@ -103,6 +104,7 @@ impl Receiver {
             rotary: Stream::new(ROTARY_ID),
             spindle: Stream::new(SPINDLE_ID),
             control: Stream::new(CONTROL_ID),
+            conditions: Stream::new(CONDITIONS_ID),
             counters: Counters::NOTHING,
         }
     }
@@ -137,6 +139,11 @@ impl Receiver {
                 frame,
                 frames::decode_control,
             )?),
+            CONDITIONS_ID => Command::Conditions(self.counters.admit(
+                &mut self.conditions,
+                frame,
+                frames::decode_conditions,
+            )?),
             _ => return Ok(None),
         }))
     }
@@ -146,7 +153,13 @@ impl Receiver {
     pub const fn is_from_cnc(id: u16) -> bool {
         matches!(
             id,
-            POSITION_X_ID | POSITION_Y_ID | POSITION_Z_ID | ROTARY_ID | SPINDLE_ID | CONTROL_ID
+            POSITION_X_ID
+                | POSITION_Y_ID
+                | POSITION_Z_ID
+                | ROTARY_ID
+                | SPINDLE_ID
+                | CONTROL_ID
+                | CONDITIONS_ID
         )
     }
 

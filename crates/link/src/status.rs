@@ -185,8 +185,10 @@ impl StateBits {
     pub const CALIBRATION_CHANGED: Self = Self(1 << 18);
     /// A thermometer changed faster than the mass that it measures can, and is not believed.
     pub const TEMPERATURE_RATE: Self = Self(1 << 19);
+    /// Tool and conditions are lost: a hold, then the stated defaults.
+    pub const CONDITIONS_LOST: Self = Self(1 << 20);
     /// Every bit that has a meaning, with its word.
-    pub const WORDS: [(Self, &'static str); 20] = [
+    pub const WORDS: [(Self, &'static str); 21] = [
         (Self::RESTARTED, "restarted"),
         (Self::HEAT_UNKNOWN, "heat-unknown"),
         (Self::OLDER_CALIBRATION, "older-calibration"),
@@ -207,6 +209,7 @@ impl StateBits {
         (Self::REFERENCE_OFFERED, "reference-offered"),
         (Self::CALIBRATION_CHANGED, "calibration-changed"),
         (Self::TEMPERATURE_RATE, "temperature-rate"),
+        (Self::CONDITIONS_LOST, "conditions-lost"),
     ];
 
     /// These bits, and `other` if `condition` holds.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use trueup_core::{
-    cnc::{Control, Flags, Quality},
+    cnc::{Conditions, Control, Flags, Quality},
     dimensions::CHANNELS,
     learned::PARTS,
 };
@@ -74,6 +74,8 @@ pub struct Inputs {
     pub spindle_rpm: f64,
     /// Axial cutting force in N.
     pub load_n: f64,
+    /// Tool and conditions; `None`: the pin `tool` says nothing.
+    pub conditions: Option<Conditions>,
 }
 
 /// What the pins are to say.
@@ -285,6 +287,7 @@ impl Component {
             angles_deg: inputs.angles_deg,
             spindle_rpm: inputs.spindle_rpm,
             load_n: inputs.load_n,
+            conditions: inputs.conditions,
         };
         (outputs, self.sender.frames(now, &command))
     }

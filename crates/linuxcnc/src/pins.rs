@@ -13,6 +13,8 @@
 //! | `L-request`, `L-eoffset` | float in | `axis.L.eoffset-request`, `axis.L.eoffset` |
 //! | `angle-1`, `angle-2` | float in | commanded angles of the head axes, degrees |
 //! | `spindle-rpm`, `load-n` | float in | speed in r/min, axial cutting force in N |
+//! | `tool` | s32 in | `iocontrol.0.tool-number`, 0: none; below 0, as long as it is not connected: the bridge is not told, of conditions neither |
+//! | `condition-NN` | bit in | the condition with `bit = NN` in the machine file, 00 to 15 |
 //! | `L-counts` | s32 out | to `axis.L.eoffset-counts` |
 //! | `scale` | float out | to `axis.L.eoffset-scale`: machine units a count |
 //! | `enable-out` | bit out | to `axis.L.eoffset-enable` |
@@ -29,12 +31,16 @@
 
 use std::cell::Cell;
 
+use trueup_core::{cnc::Conditions, dimensions::CONDITIONS};
+
 use crate::{
     component::{Inputs, Outputs},
     follower::Reading,
     hal::{Hal, HalError, Pin},
 };
 
+/// At the pin `tool`: nobody says which it is.
+const NO_TOOL_SAID: i32 = -1;
 /// A count is a nanometre.
 const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
@@ -70,6 +76,8 @@ pub struct Pins<'hal> {
     angles: [Pin<'hal, f64>; 2],
     spindle_rpm: Pin<'hal, f64>,
     load_n: Pin<'hal, f64>,
+    tool: Pin<'hal, i32>,
+    conditions: Vec<Pin<'hal, bool>>,
     axes: [AxisPins<'hal>; 3],
     applied: Pin<'hal, bool>,
     connected: Pin<'hal, bool>,
@@ -130,6 +138,12 @@ impl<'hal> Pins<'hal> {
         hal.output::<f64>(&full("scale"))?.set(MM_PER_COUNT / mm_per_unit);
         hal.output::<bool>(&full("enable-out"))?.set(true);
         hal.output::<u32>(&pid_pin(name))?.set(std::process::id());
+        let tool = hal.input(&full("tool"))?;
+        // Until it is connected it says that it is not: 0 would be no tool.
+        if !hal.adopts() {
+            tool.set(NO_TOOL_SAID);
+        }
+        let condition = |bit: u8| hal.input(&full(&format!("condition-{bit:02}")));
         let [x, y, z] = AXES.map(axis);
         let temperature = |number: u8| hal.output(&full(&format!("temp-{number:02}")));
         let of_axes = AXES.iter().flat_map(|axis| AXIS_WIRES.map(|pin| format!("{axis}-{pin}")));
@@ -148,6 +162,8 @@ impl<'hal> Pins<'hal> {
             angles: [hal.input(&full("angle-1"))?, hal.input(&full("angle-2"))?],
             spindle_rpm: hal.input(&full("spindle-rpm"))?,
             load_n: hal.input(&full("load-n"))?,
+            tool,
+            conditions: (0..CONDITIONS).map(condition).collect::<Result<_, HalError>>()?,
             axes: [x?, y?, z?],
             applied: hal.output(&full("applied"))?,
             connected: hal.output(&full("connected"))?,
@@ -200,7 +216,16 @@ impl<'hal> Pins<'hal> {
             angles_deg: self.angles.each_ref().map(Pin::get),
             spindle_rpm: self.spindle_rpm.get(),
             load_n: self.load_n.get(),
+            conditions: self.conditions(),
         }
+    }
+
+    /// A number that no tool can have is not sent: it would be another tool's.
+    fn conditions(&self) -> Option<Conditions> {
+        let tool = u16::try_from(self.tool.get()).ok()?;
+        let held = self.conditions.iter().rev();
+        let bits = held.fold(0, |bits, pin| bits << 1 | u16::from(pin.get()));
+        Some(Conditions { tool, bits })
     }
 
     /// Lets the pins say this. Counts are stepped from where they stand: a signal keeps its value

@@ -15,7 +15,11 @@ use std::{
 };
 
 use trueup_client::record::temperature_columns;
-use trueup_machine::{Machine, file::SensorModel, model::sensor_counts};
+use trueup_machine::{
+    Machine,
+    file::{SensorModel, TOOL_COLUMN},
+    model::{required_columns, sensor_counts},
+};
 
 use crate::component::{Inputs, Outputs};
 
@@ -32,6 +36,9 @@ pub struct Record {
     header: String,
     temperatures: Vec<(u8, String)>,
     sensor: Option<SensorModel>,
+    has_tool: bool,
+    /// Bit and column of each condition.
+    conditions: Vec<(u8, String)>,
     rows: VecDeque<String>,
     last_s: Option<u64>,
 }
@@ -47,7 +54,15 @@ impl Record {
         let names = temperatures.iter().map(|(_, name)| name.as_str());
         let first = ["time_s", "spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"];
         let counts = sensor.as_ref().map(|_| "sensor_counts");
-        let header = first.into_iter().chain(counts).chain(names).collect::<Vec<_>>().join(",");
+        // A machine that goes by neither keeps the columns that it has had.
+        let conditions = machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
+        let conditions: Vec<(u8, String)> =
+            conditions.map(|(name, it)| (it.bit, name.clone())).collect();
+        let has_tool = required_columns(machine).iter().any(|it| it == TOOL_COLUMN);
+        let of_conditions = conditions.iter().map(|(_, name)| name.as_str());
+        let header = first.into_iter().chain(counts).chain(names);
+        let header = header.chain(has_tool.then_some(TOOL_COLUMN)).chain(of_conditions);
+        let header = header.collect::<Vec<_>>().join(",");
         let there = match fs::read_to_string(path) {
             Ok(text) => text,
             Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
@@ -61,7 +76,8 @@ impl Record {
         let rows: VecDeque<String> =
             if is_same { whole.map(String::from).collect() } else { VecDeque::new() };
         let last_s = rows.back().and_then(|row| row.split(',').next()?.parse().ok());
-        let it = Self { path: path.into(), header, temperatures, sensor, rows, last_s };
+        let path = path.into();
+        let it = Self { path, header, temperatures, sensor, has_tool, conditions, rows, last_s };
         it.write_all()?;
         Ok(it)
     }
@@ -111,6 +127,11 @@ impl Record {
             let celsius = outputs.temperatures_c.get(usize::from(*channel)).copied().flatten();
             cells.push(cell(celsius.unwrap_or(unknown), 2));
         }
+        let said = inputs.conditions;
+        let whole = |value: Option<u16>| cell(value.map_or(unknown, f64::from), 0);
+        cells.extend(self.has_tool.then(|| whole(said.map(|it| it.tool))));
+        let bits = self.conditions.iter();
+        cells.extend(bits.map(|(bit, _)| whole(said.map(|it| it.has(*bit).into()))));
         cells.join(",")
     }
 

@@ -6,6 +6,7 @@
 //! | `PositionX/Y/Z` | the commanded position without the external offset | every period while it changes, else every 50 ms |
 //! | `Rotary` | the angles, where there are any | as the positions |
 //! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
+//! | `Conditions` | tool and conditions | every 50 ms, once the tool is known |
 //!
 //! What is not a number is not sent: the bridge then knows that it does not know.
 //!
@@ -20,13 +21,13 @@
 use std::time::Duration;
 
 use trueup_core::{
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
     learned::{Change, PARTS, named},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
     frame::Frame,
-    frames::{self, CONTROL_PERIOD_MS, SPINDLE_PERIOD_MS},
+    frames::{self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, SPINDLE_PERIOD_MS},
 };
 
 /// What stands is sent this often: a bridge that was away has to learn where it is.
@@ -51,6 +52,8 @@ pub struct Command {
     pub spindle_rpm: f64,
     /// Axial cutting force in N.
     pub load_n: f64,
+    /// Tool and conditions; `None`: LinuxCNC does not say, and nothing is sent.
+    pub conditions: Option<Conditions>,
 }
 
 /// A value that is sent while it changes.
@@ -134,6 +137,7 @@ pub struct Sender {
     reversals: [Option<i32>; 3],
     rotary: Changing<Rotary>,
     spindle: Changing<Spindle>,
+    conditions: Changing<Conditions>,
     zero_until: Option<Duration>,
     zero_was: bool,
     /// What was learned, and the calibration that it is a change of; `None`: nothing is said of it.
@@ -158,6 +162,7 @@ impl Sender {
             reversals: against_um.map(|um| um.map(|um| position(um / 1_000.0).0 + REVERSAL)),
             rotary: Changing::default(),
             spindle: Changing::default(),
+            conditions: Changing::default(),
             zero_until: None,
             zero_was: false,
             learned: None,
@@ -219,6 +224,12 @@ impl Sender {
             && let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD)
         {
             due.push(frames::spindle(spindle, counter));
+        }
+        let often = Duration::from_millis(CONDITIONS_PERIOD_MS.into());
+        if let Some(conditions) = command.conditions
+            && let Some(counter) = self.conditions.due(now, conditions, often, often)
+        {
+            due.push(frames::conditions(conditions, counter));
         }
         due
     }

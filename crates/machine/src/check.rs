@@ -23,6 +23,7 @@
 //! | `summary` | what the file will do |
 
 mod clock;
+mod conditions;
 pub(crate) mod extent;
 mod heat;
 mod limits;
@@ -39,6 +40,7 @@ mod warning;
 
 use crate::{file::Machine, run_file::RunFile};
 
+pub use conditions::conditions;
 pub use nothing::corrects_nothing;
 pub use range::{Finding, Grade, RANGES, Range, refusal};
 pub use summary::{AxisSummary, Summary};

@@ -30,7 +30,7 @@ use trueup_store::calibration::{MAX_SIZE, TooLarge, decode, encode, identity};
 
 use crate::{
     envelope,
-    file::{LinearAxis, Machine, Straightness},
+    file::{self, LinearAxis, Machine, Straightness},
     location::{BadInput, Locations},
     model,
 };
@@ -42,6 +42,7 @@ use squareness::{compile_squareness, crossed};
 
 pub use account::LARGEST_DIFFERENCE_NM;
 pub use inputs::{SHOWN_INPUT, missing_inputs};
+pub(crate) use inputs::{conditions, free_bit};
 pub(crate) use lag::time_constant_s;
 pub(crate) use sensor::UM_PER_COUNT_OF_NO_SLOPE;
 pub use sensor::stored_law_nm;
@@ -93,6 +94,7 @@ impl Compiled {
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
     let whole = machine;
+    term::category::refuse_labels(machine)?;
     let (machine, falling) = model::corrected(machine.compensated());
     let machine = &*term::with_thermal_laws(machine)?;
     check_slopes(machine)?;
@@ -170,6 +172,13 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
     let (kind, head_axes, tool_direction) = kinematics::inverse(&calibration.kinematics);
     let curves = squareness::pairs().into_iter().zip(&calibration.straightness);
     let curves = curves.filter(|(_, curve)| !curve.is_empty());
+    let mut terms = term::inverse(calibration);
+    let tools = terms.last().and_then(term::category::list_of);
+    if tools.is_some() {
+        terms.pop();
+    }
+    let spindle = file::Spindle { tools, ..spindle::inverse(&calibration.spindle) };
+    let guards = &calibration.guards;
     Machine {
         name: names::text(calibration.names.machine).unwrap_or_else(|| UNNAMED.into()),
         serial: names::text(calibration.names.serial),
@@ -177,8 +186,8 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
         kind,
         head_axes,
         tool_direction,
-        inputs: inputs::inverse(has_sensor, &calibration.thermometers, &calibration.guards),
-        spindle: spindle::inverse(&calibration.spindle),
+        inputs: inputs::inverse(has_sensor, &calibration.thermometers, guards, &calibration.terms),
+        spindle,
         axes: calibration.axes.each_ref().map(axis::inverse),
         straightness: curves
             .map(|((error, along), curve)| Straightness {
@@ -191,7 +200,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
         limits: limits::inverse(&calibration.limits),
         cold_within_c: names::cold_within_c(calibration.cold_within),
         instrument_um: None,
-        terms: term::inverse(calibration),
+        terms,
         places: Locations::default(),
     }
 }

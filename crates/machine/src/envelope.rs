@@ -16,10 +16,10 @@ use std::{borrow::Cow, collections::BTreeMap};
 
 use crate::{
     check::extent::reach_mm,
-    effect::{Effect, OnBoard, SlowMode},
+    effect::{Effect, Input, OnBoard, SlowMode},
     file::{LinearAxis, Machine},
     location::BadInput,
-    model::{ReferenceModel, Situation},
+    model::{ReferenceModel, Situation, growth_by_tool},
 };
 
 /// The temperature that a machine is right at, and how far it may be from it in a workshop, in °C: ISO 1, and
@@ -105,6 +105,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
     let corners = corners(columns.len(), ranges.is_each_alone);
     let times_s = times_s(&machine, ranges.change_s);
     let places = places(ranges);
+    let categories = [0, 1].map(|end| categories(&machine, end));
     let mut states = Vec::new();
     let ends: Vec<[f64; 2]> = columns
         .iter()
@@ -114,7 +115,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
         // From any corner all go to one end together, or nothing changes.
         let ends_of_all = [vec![0; columns.len()], vec![1; columns.len()]];
         for to in ends_of_all.iter().filter(|to| *to != from).chain([from]) {
-            for end in 0..2 {
+            for (end, categories) in categories.iter().enumerate() {
                 let mut model = ReferenceModel::new(&machine);
                 for (moment, &time_s) in times_s.iter().enumerate() {
                     let way = if time_s == 0.0 { 0.0 } else { time_s / ranges.change_s };
@@ -136,7 +137,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
                             load_n: Some(ranges.load_n[end]),
                             feed_mm_per_min: 1000.0,
                             temperatures_c: &temperatures,
-                            others: &[],
+                            others: categories,
                             position_mm: *position_mm,
                             angle_deg: [0.0; 3],
                             direction: [*direction; 3],
@@ -158,12 +159,30 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
 /// What the board runs of a machine, whose slow modes begin when it is switched on.
 fn started(machine: &Machine) -> Machine {
     let mut started = machine.compensated().into_owned();
+    let by_tool = started.spindle.tools.take();
+    started.terms.extend(by_tool.as_ref().map(growth_by_tool));
     for term in &mut started.terms {
         if let Effect::SlowMode(SlowMode::InTime { start_s, .. }) = &mut term.effect {
             *start_s = 0.0;
         }
     }
     started
+}
+
+/// The tool and the conditions at one end: none and off, or where each does most.
+fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
+    let mut values: Vec<(&str, f64)> = Vec::new();
+    for term in &machine.terms {
+        let column = match term.effect.reads().first() {
+            Some(&(Input::Column(column) | Input::Switch { column, .. })) => column,
+            _ => continue,
+        };
+        let largest = term.effect.on_board().first().and_then(OnBoard::at_largest);
+        if values.iter().all(|(name, _)| *name != column) {
+            values.extend(largest.map(|it| (column, if end == 0 { 0.0 } else { it })));
+        }
+    }
+    values
 }
 
 /// The thermometers that the model reads.

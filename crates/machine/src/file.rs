@@ -16,10 +16,12 @@ pub(crate) mod straightness;
 mod structure;
 mod term;
 mod thermal_state;
+pub(crate) mod tools;
 pub mod write;
 
 use std::path::Path;
 
+pub use crate::tool::TOOL_COLUMN;
 pub use axis::{
     AxisModel, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode,
     ThermalRow,
@@ -30,6 +32,7 @@ pub use machine::{Kind, Machine, board_text};
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Term, in_order};
+pub use tools::{Tool, Tools};
 
 pub use crate::effect::{Cause, Effect, Quantity, Wave};
 

@@ -33,8 +33,19 @@ pub struct Inputs {
     pub sensor: Option<SensorInput>,
     /// The temperature channels by the name of their run-file column, `temp_<name>_c`.
     pub temperatures: BTreeMap<String, TemperatureInput>,
+    /// The conditions by the name of their run-file column, which has 0 and 1.
+    pub conditions: BTreeMap<String, ConditionInput>,
     /// The board is written to only with its service switch closed.
     pub service_switch: bool,
+}
+
+/// How a condition comes in: as a bit of the CNC's `Conditions`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ConditionInput {
+    /// 0…15; no two conditions share one.
+    pub bit: u8,
+    /// Whether it counts as holding while the CNC does not send it.
+    pub default: bool,
 }
 
 /// How a temperature comes in.

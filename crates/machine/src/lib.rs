@@ -41,6 +41,7 @@ pub mod show;
 mod stored;
 pub mod template;
 pub mod thermometer;
+pub mod tool;
 pub mod trusted;
 
 pub use compile::{Compiled, compile};

@@ -22,6 +22,7 @@
 //! laid along the tool, those of an axis after the sum. A value that is missing (NaN) makes what depends on it NaN, and nothing
 //! else.
 
+mod by_tool;
 mod elongation;
 mod kinematics;
 mod lag;
@@ -32,6 +33,7 @@ pub(crate) mod straightness;
 mod term;
 mod thermal;
 
+pub use by_tool::growth_by_tool;
 pub use elongation::{
     WarmupState, elongation_um, heating, sensor_counts, temperature_elongation_um, warmup_um,
 };
@@ -401,6 +403,7 @@ impl Machine {
     #[must_use]
     pub fn has_elongation(&self) -> bool {
         self.spindle.source.is_some()
+            || self.spindle.tools.is_some()
             || self.terms.iter().any(|term| term.quantity == Quantity::Elongation)
     }
 

@@ -270,7 +270,9 @@ impl<'a> Predictor<'a> {
         for (row, prediction) in self.rows().enumerate() {
             for column in self.run.columns() {
                 let value = column.values.get(row).copied().unwrap_or(f64::NAN);
-                if !value.is_nan() {
+                if let Some(label) = self.run.tool_label(value).filter(|_| value < 0.0) {
+                    out.write_all(label.as_bytes())?;
+                } else if !value.is_nan() {
                     write_shortest(&mut out, value)?;
                 }
                 out.write_all(b",")?;

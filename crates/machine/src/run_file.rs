@@ -14,6 +14,7 @@ mod clock;
 mod faults;
 mod fields;
 mod known;
+mod label;
 mod line;
 mod meant;
 mod order;
@@ -21,6 +22,7 @@ mod places;
 mod plain;
 mod reading;
 mod table;
+mod tools;
 
 use std::{
     fmt::Display,
@@ -48,6 +50,7 @@ pub struct RunFile {
     /// The line of each row, from 1: empty lines and comments are no rows.
     line_of_row: Vec<u32>,
     slips: Vec<Slip>,
+    labels: Vec<(f64, String)>,
 }
 
 impl RunFile {
@@ -86,9 +89,9 @@ impl RunFile {
     }
 
     fn within(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        let Table { columns, header_line, line_of_row, slips } =
+        let Table { columns, header_line, line_of_row, slips, labels } =
             reading::read(bounds, source, path)?;
-        Ok(Self { path: path.to_path_buf(), columns, header_line, line_of_row, slips })
+        Ok(Self { path: path.to_path_buf(), columns, header_line, line_of_row, slips, labels })
     }
 
     /// The path under which the run was read.
@@ -199,6 +202,7 @@ impl RunFile {
             header_line: self.header_line,
             line_of_row: self.line_of_row[..rows].to_vec(),
             slips: self.slips.clone(),
+            labels: self.labels.clone(),
         }
     }
 

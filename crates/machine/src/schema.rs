@@ -46,8 +46,14 @@ fn plain(meaning: &str) -> String {
 
 fn table(keys: &[Key]) -> Value {
     let (mut properties, mut patterns) = (Map::new(), Map::new());
+    let mut others = Value::from(false);
     for key in keys {
         match key.name.split_once("<name>") {
+            // Of any name.
+            None if key.name.starts_with('<') => {
+                others = value(key);
+                None
+            }
             None => properties.insert(key.name.into(), value(key)),
             Some((before, after)) => patterns.insert(format!("^{before}.+{after}$"), value(key)),
         };
@@ -55,7 +61,7 @@ fn table(keys: &[Key]) -> Value {
     let required = keys.iter().filter(|key| key.need == Need::Required).map(|key| key.name);
     let required: Vec<&str> = required.collect();
     let mut table = json!({
-        "type": "object", "properties": properties, "additionalProperties": false,
+        "type": "object", "properties": properties, "additionalProperties": others,
     });
     if !patterns.is_empty() {
         table["patternProperties"] = patterns.into();

@@ -135,6 +135,9 @@ fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
             None if schema["additionalProperties"] == false => {
                 return Err(format!("{at} is unknown"));
             }
+            None if schema["additionalProperties"].is_object() => {
+                check(&schema["additionalProperties"], field, &at)?;
+            }
             None => {}
         }
     }
@@ -262,7 +265,12 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     if name == "machine" && has("head_axes") {
         more.push(("kind", "\"3-axis\""));
     }
-    lines(&name.replace("<name>", "a"), keys, &more, &mut text);
+    if name == "spindle.tools.<tool>" {
+        text.push_str("[spindle.tools.default]\num_per_krpm2 = 0\n");
+    }
+    let tool = if has("number") { "a" } else { "7" };
+    let name = name.replace("<name>", "a").replace("<condition>", "a").replace("<tool>", tool);
+    lines(&name, keys, &more, &mut text);
     text
 }
 
@@ -337,7 +345,10 @@ fn every_key_of_every_cause_is_described_and_no_other_is() {
     used.sort_unstable();
     used.dedup();
     let described: Vec<&str> = TERM_KEYS.iter().map(|key| key.name).collect();
-    assert_eq!(used, described, "TERM_KEYS in crates/machine/src/file/keys.rs, by the alphabet");
+    assert_eq!(
+        used, described,
+        "TERM_KEYS in crates/machine/src/file/keys/term.rs, by the alphabet"
+    );
     assert_eq!(TERM.len(), 3);
 }
 

@@ -374,6 +374,11 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_SPEED),
         (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_GROWTH),
         (AXIS, "dx", "dependence", dependence::LINE_BY_POSITION),
+        (AXIS, "dx", "dependence", dependence::TOOL_BY_POSITION),
+        (AXIS, "dx", "dependence", dependence::SWITCH),
+        (SENSOR, "elongation", "dependence", dependence::SWITCH_BEHIND_A_LAG),
+        (AXIS, "dx", "dependence", dependence::SWITCH_BY_SPEED),
+        (SENSOR, "elongation", "dependence", dependence::SWITCH_BY_GROWTH),
         (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
         (AXIS, "dx", "drift", "um_per_h = 3.0"),
         (AXIS, "dx", "drift", "um_per_run = -0.5"),
@@ -409,7 +414,8 @@ fn every_cause_is_read_and_written_back_to_the_same_numbers() {
 const INPUTS: &str = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 4096, \
                       divider = 0.33 }\ntemp_a_c = { channel = 3, kind = \"pt100\" }\n\
                       temp_b_c = { channel = 1, kind = \"pt100\" }\n\
-                      temp_coil_c = { channel = 6, kind = \"pt100\" }\n";
+                      temp_coil_c = { channel = 6, kind = \"pt100\" }\n\
+                      coolant_on = { kind = \"condition\", bit = 15 }\n";
 
 #[test]
 fn the_board_runs_every_term_that_compensates_as_the_model_says() {

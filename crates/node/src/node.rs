@@ -449,6 +449,8 @@ mod tests;
 #[cfg(test)]
 pub(crate) use example::tests_calibration;
 #[cfg(test)]
+mod conditions_tests;
+#[cfg(test)]
 mod learned_tests;
 #[cfg(test)]
 mod register_tests;

@@ -51,6 +51,11 @@
 //! | 13 tilt | `i32` zero of the lever, `i32` gradient |
 //! | 14 tilt by a curve | `i32` zero of the lever; segments, index, `i32` first knot as of a curve |
 //! | 15 heat by the speed | `i32` coefficient, `u32` smoothing factor; in the place of a channel the power of the speed, 1 or 2 |
+//! | 16 tool | `i32` level of other tools; a table of `u32` number, `i32` level, 32 at most, rising; `u8` factor, 0, 0, 0 |
+//! | 17 condition | `i32` level off, `i32` level on; `u32` smoothing factor; `u8` factor, `u8` 1 if it counts as on while it is not known, 0, 0 |
+//!
+//! A condition's bit stands in the place of the channel. Factors: 0 none, 1 n², 2 the growth, 3 the position.
+//! Firmware that does not know a kind refuses the blob by the number of the kind and its place.
 //!
 //! A tilt has two axes: the one that tilts, and 16 times the one of the lever. The bucket shift of its
 //! curve stands where a coefficient has its binary places. Its angle is an error at a lever of 2²⁷·10 nm.

@@ -6,8 +6,9 @@
 //! frame takes the place of one that still waits there. And `bxcan` waits without a limit for the
 //! controller to answer; here a controller that does not answer is dead, and everything is inert.
 //!
-//! What the CNC says is spread over both FIFOs of three: a cycle of its six frames, back to back,
-//! fits whole, so the tasks have time until the next cycle.
+//! What the CNC says is spread over both FIFOs of three: a cycle of its six fast frames, back to back,
+//! fits whole, so the tasks have time until the next cycle. `Conditions` comes twenty times a second; if one is
+//! lost to a full FIFO, the next is there long before its timeout.
 //!
 //! The controller waits for a quiet bus by itself before it takes part, and comes back by itself
 //! from bus-off (ABOM).
@@ -20,8 +21,8 @@ use stm32f4xx_hal::{
 use trueup_link::{
     frame::Frame,
     layout::{
-        CONTROL_ID, NMT_ID, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID,
-        ROTARY_ID, SDO_REQUEST_ID, SPINDLE_ID,
+        CONDITIONS_ID, CONTROL_ID, NMT_ID, OFFSET_XY_ID, OFFSET_Z_ID, POSITION_X_ID, POSITION_Y_ID,
+        POSITION_Z_ID, ROTARY_ID, SDO_REQUEST_ID, SPINDLE_ID,
     },
 };
 
@@ -36,6 +37,8 @@ const HEARD: [[u16; 4]; 2] = [
 ];
 /// The bank of the heartbeats, whose node a master chooses: 0x700…0x77F.
 const HEARTBEATS: u8 = 2;
+/// `Conditions` in the other half of that bank: all bits of the identifier count.
+const CONDITIONS_MASK: u32 = ((0x7FF << 5 | 0x18) << 16) | (CONDITIONS_ID as u32) << 5;
 /// As a bank of 16 bits has it: the identifier to compare with below, the bits that count above,
 /// among them "extended" and "remote".
 const HEARTBEAT_MASK: u32 = ((0x780 << 5 | 0x18) << 16) | 0x700 << 5;
@@ -102,11 +105,10 @@ fn listen_to(can: &CAN1, ids: &[[u16; 4]; 2]) {
         can.fa1r().modify(|_, w| w.fact(number).set_bit());
     }
     let bank = can.fb(HEARTBEATS.into());
-    // The second half of the bank says the same.
     // SAFETY: any value is a valid mask.
     bank.fr1().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
     // SAFETY: as above.
-    bank.fr2().write(|w| unsafe { w.bits(HEARTBEAT_MASK) });
+    bank.fr2().write(|w| unsafe { w.bits(CONDITIONS_MASK) });
     can.ffa1r().modify(|_, w| w.ffa(HEARTBEATS).set_bit());
     can.fa1r().modify(|_, w| w.fact(HEARTBEATS).set_bit());
     can.fmr().modify(|_, w| w.finit().clear_bit());

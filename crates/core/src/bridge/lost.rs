@@ -14,6 +14,8 @@ pub struct LostInputs {
     pub too_fast: IndexSet,
     /// A position, an angle or an operating point is missing, while `Control` comes.
     pub place: bool,
+    /// Tool and conditions are missing, while `Control` comes.
+    pub conditions: bool,
 }
 
 impl Bridge<'_> {
@@ -27,6 +29,7 @@ impl Bridge<'_> {
             thermometers: state.channels.faulty().common(self.needs.watched),
             too_fast: state.channels.doubtful(),
             place: is_heard && !self.knows_place(state),
+            conditions: is_heard && self.needs.conditions && self.conditions_are_lost(state),
         }
     }
 }

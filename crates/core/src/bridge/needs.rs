@@ -5,7 +5,7 @@ use crate::{
     cnc::LinearAxis,
     dimensions::CHANNELS,
     set::IndexSet,
-    term::{self, Effect, Target, Tilt},
+    term::{self, Effect, Factor, OnOff, Target, Tilt, ToolTable},
     thermal_rate::{DEFAULT_TENTHS, RateLimit},
     units::Fine,
 };
@@ -30,6 +30,10 @@ pub(super) struct RequiredInputs {
     pub sensor: bool,
     /// The spindle's speed and load, from the CNC.
     pub operating_point: bool,
+    /// The tool and the conditions, from the CNC.
+    pub conditions: bool,
+    /// The terms by category that go by the speed.
+    pub category_speed: bool,
     /// Terms that follow a temperature.
     pub heat_terms: IndexSet,
     /// Whether there are terms of the elongation.
@@ -43,12 +47,17 @@ impl RequiredInputs {
         let chain = calibration.spindle.chain;
         let terms = || calibration.terms.iter().flatten();
         let of_elongation = terms().any(|term| term.target == Target::Elongation);
+        let by_speed = terms().any(|it| category(&it.effect) == Some(Factor::Speed2));
         let mut needs = Self {
             rotary: calibration.kinematics.axes.iter().any(Option::is_some)
                 && (of_elongation || chain.iter().any(Option::is_some)),
-            operating_point: terms().any(|it| {
-                matches!(it.effect, Effect::Speed(_) | Effect::SpeedHeat { .. } | Effect::Load(_))
-            }),
+            conditions: terms().any(|it| category(&it.effect).is_some()),
+            category_speed: by_speed,
+            operating_point: by_speed
+                || terms().any(|it| {
+                    let effect = &it.effect;
+                    matches!(effect, Effect::Speed(_) | Effect::SpeedHeat { .. } | Effect::Load(_))
+                }),
             heat_terms: term::heat_terms(&calibration.terms),
             terms: of_elongation,
             sensor: chain.contains(&Some(ElongationSource::Sensor)),
@@ -89,6 +98,9 @@ impl RequiredInputs {
                     position(along);
                     position(lever);
                 }
+                (effect, Target::Axis(axis)) if category(&effect) == Some(Factor::Position) => {
+                    position(axis);
+                }
                 (Effect::Heat { channel, .. }, _) => needs.temperatures.insert(channel.into()),
                 _ => {}
             }
@@ -120,6 +132,16 @@ impl RequiredInputs {
         connected.map_or_else(RateLimit::default, |thermometer| {
             RateLimit::new(tenths, thermometer.step(), partners(calibration, channel))
         })
+    }
+}
+
+/// Returns what a term by category is multiplied by; none of another term.
+fn category(effect: &Effect<'_>) -> Option<Factor> {
+    match *effect {
+        Effect::Tool(ToolTable { times, .. }) | Effect::Condition(OnOff { times, .. }) => {
+            Some(times)
+        }
+        _ => None,
     }
 }
 

@@ -4,7 +4,7 @@ use super::joint::Joint;
 use crate::{
     calibration::AxisModel,
     channels::{Channels, RawTemperatures},
-    cnc::{AxisPosition, Control, Spindle},
+    cnc::{AxisPosition, Conditions, Control, Spindle},
     filter::Filter,
     geometry::{CachedErrors, ErrorSums},
     health::{Health, Noise},
@@ -51,6 +51,7 @@ pub struct State {
     pub(super) run_out: RunOut,
     pub(super) control: Heard<Control>,
     pub(super) spindle: Heard<Spindle>,
+    pub(super) conditions: HeardConditions,
     /// The angles of the head, and where they point the tool.
     pub(super) tool: Heard<([MicroDegrees; 2], Direction)>,
     pub(super) place: Place,
@@ -154,6 +155,22 @@ impl<T: Copy> Heard<T> {
 
     pub fn hear(&mut self, value: T) {
         *self = Self { value: Some(value), age: Age::NEW };
+    }
+}
+
+/// What was heard of tool and conditions.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct HeardConditions {
+    pub last: Option<Conditions>,
+    /// Milliseconds since the last message, at first since the start; stays at its largest value.
+    pub age_ms: u32,
+    /// The offset goes by the defaults.
+    pub by_default: bool,
+}
+
+impl HeardConditions {
+    pub fn grow_older(&mut self, elapsed_ms: u32) {
+        self.age_ms = self.age_ms.saturating_add(elapsed_ms);
     }
 }
 
@@ -311,6 +328,7 @@ impl State {
     pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
         self.control.age.grow(elapsed_ms);
         self.spindle.age.grow(elapsed_ms);
+        self.conditions.grow_older(elapsed_ms);
         self.tool.age.grow(elapsed_ms);
         for age in &mut self.position_age {
             age.grow(elapsed_ms);
@@ -340,6 +358,11 @@ impl State {
         self.starved_age = Age::NEW;
     }
 
+    /// Returns whether the offset was live so lately that it is held where an input is lost.
+    pub(super) fn is_held(&self, hold_ms: u32) -> bool {
+        self.live_age.is_some_and(|age| !age.is_above(hold_ms))
+    }
+
     /// Decides where the offset goes, and remembers when it was last live.
     pub(super) fn mode(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
         let is_free = |control: Control| control.engage && control.referenced && !self.barred;
@@ -348,7 +371,7 @@ impl State {
         } else if control.is_some() && fresh {
             self.live_age = Some(Age::NEW);
             return Mode::Follow;
-        } else if self.live_age.is_some_and(|age| !age.is_above(hold_ms)) {
+        } else if self.is_held(hold_ms) {
             return Mode::Hold;
         }
         Mode::RampOut

@@ -1,5 +1,6 @@
 //! The bridge as a whole, tick by tick: what each row of its table promises.
 
+mod conditions;
 mod heat;
 mod jumps;
 mod learned;

@@ -11,7 +11,10 @@ use crate::{
     pitch::Pitch,
     place::Place,
     set::IndexSet,
-    term::tilt::Tilt,
+    term::{
+        category::{OnOff, ToolTable},
+        tilt::Tilt,
+    },
     tool::Direction,
     travel::backlash,
     units::{Fine, MicroDegrees, Position, Rpm, Temperature},
@@ -75,7 +78,7 @@ pub enum Effect<'a> {
     Time {
         /// α = 1 − e^(−0.1 s/τ), per step of 100 ms.
         smoothing: SmoothingFactor,
-        /// m, in 1/256 nm per [`UNIT_STEP`].
+        /// m, in 1/256 nm per [`UNIT_STEP`](crate::term::UNIT_STEP).
         amplitude: Scaled,
     },
     /// + m·n², n in r/min.
@@ -118,10 +121,11 @@ pub enum Effect<'a> {
     TiltLine(Tilt<Gradient>),
     /// + θ·(L − L₀), θ a curve over P.
     TiltCurve(Tilt<Curve<'a>>),
+    /// + m(tool)·f.
+    Tool(ToolTable<'a>),
+    /// + m·f, m by a condition that holds or does not.
+    Condition(OnOff),
 }
-
-/// 1 of what a term over time follows.
-pub const UNIT_STEP: i32 = 1 << 30;
 
 /// The power of the spindle's speed by which it heats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -201,7 +205,7 @@ impl Effect<'_> {
                 let (error, beyond) = tilt.angle.at(of(tilt.along));
                 (tilt.at_lever(error, place), beyond)
             }
-            // Of an elongation alone, or the constant alone.
+            // Of an elongation alone, the constant alone, or by category.
             _ => inside(Fine::ZERO),
         }
     }

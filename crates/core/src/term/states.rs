@@ -1,11 +1,15 @@
 //! What heat and time have made of the terms that follow them.
 
 use crate::{
+    cnc::Conditions,
     dimensions::{CHANNELS, MAX_TERMS},
     heat_memory::{HeatMemory, KeptLag, Key},
     lag::{Lag, SmoothingFactor},
     set::IndexSet,
-    term::effect::{Effect, Terms, UNIT_STEP},
+    term::{
+        category::{Factor, OnOff, UNIT_STEP, squared, times},
+        effect::{Effect, Terms},
+    },
     units::{Fine, Rpm, Temperature},
 };
 
@@ -21,6 +25,10 @@ fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
         Effect::Time { smoothing, .. } => {
             Some(Key { input: Key::TIME, rising: smoothing, falling: smoothing })
         }
+        Effect::Condition(OnOff { bit, smoothing, .. }) if smoothing != SmoothingFactor::NO_LAG => {
+            let input = Key::CONDITION | bit;
+            Some(Key { input, rising: smoothing, falling: smoothing })
+        }
         _ => None,
     })
 }
@@ -32,6 +40,12 @@ pub struct TermStates {
     values: [Fine; MAX_TERMS],
     /// Terms of heat that have had a temperature, or whose heat by the speed is known.
     known: IndexSet,
+    /// What the CNC says, or `None` inside: the defaults hold. Nothing before either is known.
+    conditions: Option<Option<Conditions>>,
+    /// m of the terms by category.
+    levels: [i32; MAX_TERMS],
+    /// n of those that go by it.
+    speed: Rpm,
 }
 
 impl TermStates {
@@ -76,8 +90,44 @@ impl TermStates {
                 lag.step(UNIT_STEP, smoothing);
                 *value = Fine(amplitude.times(lag.value().into()));
             }
+            Effect::Condition(it) if it.smoothing != SmoothingFactor::NO_LAG => {
+                if let (Some(conditions), Some(level)) =
+                    (self.conditions, self.levels.get_mut(index))
+                {
+                    let input = it.input(conditions);
+                    let lag = lag.get_or_insert(Lag::settled(input));
+                    lag.step(input, it.smoothing);
+                    *level = it.level(lag.value());
+                }
+            }
             _ => {}
         }
+    }
+
+    /// Takes what the CNC says of tool and conditions; `None`: the defaults hold.
+    pub fn select(&mut self, terms: &Terms<'_>, conditions: Option<Conditions>) {
+        self.conditions = Some(conditions);
+        for (level, term) in self.levels.iter_mut().zip(terms.iter().flatten()) {
+            match &term.effect {
+                Effect::Tool(tools) => *level = tools.level(conditions),
+                Effect::Condition(it) if it.smoothing == SmoothingFactor::NO_LAG => {
+                    *level = it.level(it.input(conditions));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// Takes the speed of the spindle; returns whether it is another one.
+    pub fn turn(&mut self, speed: Rpm) -> bool {
+        core::mem::replace(&mut self.speed, speed) != speed
+    }
+
+    /// Returns what of it is no heat: what the CNC says.
+    #[must_use]
+    pub fn without_heat(&self) -> Self {
+        let Self { conditions, levels, speed, .. } = *self;
+        Self { conditions, levels, speed, ..Self::default() }
     }
 
     /// Adds its lags to what outlasts a reset.
@@ -100,6 +150,21 @@ impl TermStates {
     #[must_use]
     pub fn knows(&self, terms: IndexSet) -> bool {
         self.known.has_all(terms)
+    }
+
+    /// Returns what term `index`, by category, adds where its growth or position is `x`.
+    pub(super) fn category(&self, index: usize, effect: &Effect<'_>, x: i64) -> Fine {
+        let (shift, by) = match effect {
+            Effect::Tool(tools) => (tools.shift, tools.times),
+            Effect::Condition(it) => (it.shift, it.times),
+            _ => return Fine::ZERO,
+        };
+        let x = match by {
+            Factor::One => 1,
+            Factor::Speed2 => squared(self.speed.0),
+            Factor::Growth | Factor::Position => x,
+        };
+        Fine(times(self.levels.get(index).copied().unwrap_or_default(), shift, x))
     }
 
     /// What heat or time has made of term `index`; 0 for one of neither.

@@ -31,13 +31,13 @@ pub fn elongation(
     for (index, term) in terms.iter().enumerate() {
         let Some(term) = term else { break };
         if term.target == Target::Elongation {
-            p = match term.effect {
+            p = match &term.effect {
                 Effect::Gain(m) => p.plus(Fine(m.times(i64::from(p.0)))),
                 Effect::Curvature(m) => {
                     let held = p.0.clamp(-(1 << 28), 1 << 28);
                     p.plus(Fine(m.times(product(held, held) >> 24)))
                 }
-                Effect::Saturation(limit) => p.min(limit),
+                Effect::Saturation(limit) => p.min(*limit),
                 Effect::Heat { .. } | Effect::SpeedHeat { .. } | Effect::Time { .. } => {
                     p.plus(states.value(index))
                 }
@@ -46,6 +46,9 @@ pub fn elongation(
                     p.plus(Fine(m.times(rpm.wrapping_mul(rpm))))
                 }
                 Effect::Load(m) => p.plus(Fine(m.times(i64::from(operating.load)))),
+                effect @ (Effect::Tool(_) | Effect::Condition(_)) => {
+                    p.plus(states.category(index, effect, plain.0.into()))
+                }
                 _ => p,
             }
             .plus(term.constant);
@@ -62,7 +65,12 @@ pub fn axis_errors(terms: &Terms<'_>, states: &TermStates, place: &Place) -> ([F
         let Some(term) = term else { break };
         let Target::Axis(own) = term.target else { continue };
         let Some(error) = errors.get_mut(own as usize) else { continue };
-        let (part, beyond) = term.effect.at(own, states.value(index), place);
+        let (part, beyond) = match &term.effect {
+            effect @ (Effect::Tool(_) | Effect::Condition(_)) => {
+                (states.category(index, effect, place.of(own).0.into()), false)
+            }
+            effect => effect.at(own, states.value(index), place),
+        };
         *error = error.plus(part).plus(term.constant);
         outside |= beyond;
     }

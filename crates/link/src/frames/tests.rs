@@ -197,6 +197,8 @@ proptest! {
     fn commands_come_back_whole(speed: u16, load_n: i16, bits in 0_u8..32, part in 0_u8..8, count: u8) {
         let sent = Spindle { speed: Rpm(speed), load_n };
         prop_assert_eq!(decode_spindle(&spindle(sent, count)), Ok(sent));
+        let sent = Conditions { tool: speed, bits: load_n.cast_unsigned() };
+        prop_assert_eq!(decode_conditions(&conditions(sent, count)), Ok(sent));
         let sent = Control {
             engage: bits & 1 != 0,
             referenced: bits & 2 != 0,
@@ -230,6 +232,7 @@ proptest! {
         let ours = [
             id, OFFSET_XY_ID, OFFSET_Z_ID, HEARTBEAT_ID, SPINDLE_ID, CONTROL_ID,
             POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID,
+            CONDITIONS_ID,
         ];
         for id in ours {
             let frame = Frame::new(id, &data[..len]).unwrap();
@@ -238,6 +241,7 @@ proptest! {
             let _ = decode_heartbeat(&frame);
             let _ = decode_spindle(&frame);
             let _ = decode_control(&frame);
+            let _ = decode_conditions(&frame);
             let _ = decode_rotary(&frame);
             for axis in LinearAxis::ALL {
                 let _ = decode_position(axis, &frame);

@@ -49,7 +49,11 @@ const fn position(id: u16, name: &'static str) -> Expected {
     }
 }
 
-const CONTRACT: [Expected; 11] = [
+const fn condition(bit: u8) -> Signal {
+    Signal::unsigned(CONDITION_0.start + bit, CONDITION_0.length)
+}
+
+const CONTRACT: [Expected; 12] = [
     Expected {
         id: OFFSET_XY_ID,
         name: "OffsetXY",
@@ -185,6 +189,34 @@ const CONTRACT: [Expected; 11] = [
             ("LearnedPart", LEARNED_PART, 1.0, ""),
             ("Learned", LEARNED, 0.001, ""),
             ("LearnedCrc", LEARNED_CRC, 1.0, ""),
+        ],
+    },
+    Expected {
+        id: CONDITIONS_ID,
+        name: "Conditions",
+        sender: "CNC",
+        len: 8,
+        period_ms: CONDITIONS_PERIOD_MS,
+        signals: &[
+            ("Crc", CRC, 1.0, ""),
+            ("Counter", COUNTER, 1.0, ""),
+            ("Tool", TOOL, 1.0, ""),
+            ("Condition0", condition(0), 1.0, ""),
+            ("Condition1", condition(1), 1.0, ""),
+            ("Condition2", condition(2), 1.0, ""),
+            ("Condition3", condition(3), 1.0, ""),
+            ("Condition4", condition(4), 1.0, ""),
+            ("Condition5", condition(5), 1.0, ""),
+            ("Condition6", condition(6), 1.0, ""),
+            ("Condition7", condition(7), 1.0, ""),
+            ("Condition8", condition(8), 1.0, ""),
+            ("Condition9", condition(9), 1.0, ""),
+            ("Condition10", condition(10), 1.0, ""),
+            ("Condition11", condition(11), 1.0, ""),
+            ("Condition12", condition(12), 1.0, ""),
+            ("Condition13", condition(13), 1.0, ""),
+            ("Condition14", condition(14), 1.0, ""),
+            ("Condition15", condition(15), 1.0, ""),
         ],
     },
 ];
@@ -365,15 +397,15 @@ fn every_frame_as_often_as_permitted_fills_56_percent_of_the_bus_at_worst_stuffi
         let of = |it: &Expected| bits(it.len)[stuffing] * 1_000 / u64::from(it.period_ms);
         CONTRACT.iter().filter(|it| it.period_ms > 0).map(of).sum()
     };
-    assert_eq!([load(0), load(1)], [456_760, 555_500]);
+    assert_eq!([load(0), load(1)], [458_980, 558_200]);
     assert!(load(1) * 100 < BITS_PER_SECOND * 60);
     let positions = bits(8)[1] * 1_000 / u64::from(POSITION_PERIOD_MS) * 3;
     let rotary = bits(8)[1] * 1_000 / u64::from(ROTARY_PERIOD_MS);
     assert_eq!([positions, rotary], [202_500, 67_500]);
-    assert_eq!(load(1) + positions + rotary, 825_500, "positions every millisecond");
+    assert_eq!(load(1) + positions + rotary, 828_200, "positions every millisecond");
     let service = bits(8)[1] * 1_000 / u64::from(SERVICE_PERIOD_MS);
-    assert_eq!(load(1) + 2 * service, 690_500, "with a bulk transfer");
-    assert_eq!(load(1) + positions + rotary + 2 * service, 960_500, "with both");
+    assert_eq!(load(1) + 2 * service, 693_200, "with a bulk transfer");
+    assert_eq!(load(1) + positions + rotary + 2 * service, 963_200, "with both");
 }
 
 #[test]

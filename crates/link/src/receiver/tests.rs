@@ -16,8 +16,8 @@ use trueup_core::{
 const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
 const ENGAGED: Control = Control::ENGAGED;
 /// What a CNC sends.
-const CNC: [u16; 6] =
-    [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID];
+const CNC: [u16; 7] =
+    [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID, CONDITIONS_ID];
 
 fn output(cycle: u8) -> Output {
     let nm = i32::from(cycle) * 10;

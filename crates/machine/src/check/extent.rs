@@ -1,8 +1,9 @@
 //! How large each correction may become: the largest error that an entry of the file can make.
 
 use crate::{
-    effect::{OnBoard, SpeedPower, heating},
+    effect::{OnBoard, SpeedPower, Times, heating},
     file::{BSpline, LinearAxis, Machine, Pitch, Quantity, Term, Thermal},
+    model::growth_by_tool,
 };
 
 /// By how much a machine's temperature may differ from the one it is right at, in K: half of what lies
@@ -87,6 +88,11 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
             add(format!("term[{index}]"), Some(along * (um + term.constant_um.abs())));
         }
     }
+    if let Some(tools) = machine.spindle.tools.as_ref().filter(|_| along > 0.0) {
+        let forms = growth_by_tool(tools).effect.on_board();
+        let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<f64>();
+        add("spindle.tools".into(), Some(along * um));
+    }
     parts
 }
 
@@ -112,6 +118,15 @@ fn of_growth_by(machine: &Machine, form: &OnBoard) -> f64 {
         OnBoard::Curvature(per_um) => per_um.abs() * grown().powi(2),
         OnBoard::Speed(um_per_krpm2) => {
             um_per_krpm2.abs() * heating(SpeedPower::Second, rated_rpm(machine).unwrap_or(0.0))
+        }
+        OnBoard::Tool { ref times, .. } | OnBoard::Condition { ref times, .. } => {
+            let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
+            form.largest_level()
+                * match times {
+                    Times::Speed2 => (rated.unwrap_or(0.0) / 1000.0).powi(2),
+                    Times::Growth => grown(),
+                    _ => 1.0,
+                }
         }
         ref other => of_form(machine, other, None).unwrap_or(0.0),
     }
@@ -157,6 +172,11 @@ fn of_form(machine: &Machine, form: &OnBoard, own_mm: Option<[f64; 2]>) -> Optio
         OnBoard::Thermal(thermal) => of_heat(thermal, own_mm)?,
         &OnBoard::Wave { amplitude_um, .. } => amplitude_um.abs(),
         &OnBoard::Time { amplitude_um, .. } => amplitude_um.abs(),
+        OnBoard::Tool { times, .. } | OnBoard::Condition { times, .. } => match times {
+            Times::One => form.largest_level(),
+            Times::Position => of_line(form.largest_level(), own_mm?),
+            _ => return None,
+        },
         OnBoard::Gain(_)
         | OnBoard::Curvature(_)
         | OnBoard::Saturation(_)

@@ -3,14 +3,19 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
-    calibration::Guards, dimensions::CHANNELS, thermal_rate::MAX_TENTHS, thermometer::Thermometer,
+    calibration::Guards,
+    dimensions::CHANNELS,
+    term::{Effect, OnOff, Term, Terms},
+    thermal_rate::MAX_TENTHS,
+    thermometer::Thermometer,
 };
 
 use crate::{
+    effect::OnBoard,
     file::{Machine, is_temperature_column},
     inputs::{
-        CountScale, Inputs, LAST_CHANNEL, LinearInput, SensorInput, TemperatureInput,
-        TemperatureKind,
+        ConditionInput, CountScale, Inputs, LAST_CHANNEL, LinearInput, SensorInput,
+        TemperatureInput, TemperatureKind,
     },
     location::BadInput,
     model::required_columns,
@@ -58,10 +63,61 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     };
     let missing = required_columns(&machine.compensated()).into_iter().filter(is_missing);
     let mut lines: Vec<String> = missing.map(line).collect();
+    lines.extend(missing_conditions(machine));
     if !lines.is_empty() && machine.inputs.is_none() {
         lines.insert(0, "[inputs]".into());
     }
     lines
+}
+
+/// The lines for the conditions of its terms, each with a bit of its own.
+fn missing_conditions(machine: &Machine) -> Vec<String> {
+    let mut inputs = machine.inputs.clone().unwrap_or_default();
+    let mut lines = Vec::new();
+    for column in conditions(machine) {
+        if !inputs.conditions.contains_key(&column) {
+            let line = declaration(Some(&inputs), &column);
+            lines.push(line);
+            let bit = free_bit(&inputs);
+            inputs
+                .conditions
+                .extend(bit.map(|bit| (column, ConditionInput { bit, default: false })));
+        }
+    }
+    lines
+}
+
+/// Returns the line of `[inputs]` for a condition, with the first bit that is free.
+pub(super) fn declaration(inputs: Option<&Inputs>, column: &str) -> String {
+    match inputs.map_or(Some(0), free_bit) {
+        Some(bit) => format!("{column} = {{ kind = \"condition\", bit = {bit} }}"),
+        None => format!("# {column}: no bit is free"),
+    }
+}
+
+/// A calibration holds bits, not the names of columns.
+pub(super) fn condition_column(bit: u8) -> String {
+    format!("condition_{bit}")
+}
+
+/// Returns the first bit that no condition has.
+pub(crate) fn free_bit(inputs: &Inputs) -> Option<u8> {
+    let taken = |bit: &u8| inputs.conditions.values().any(|it| it.bit == *bit);
+    (0..trueup_core::dimensions::CONDITIONS).find(|bit| !taken(bit))
+}
+
+/// Returns the columns of the conditions that the board follows.
+pub(crate) fn conditions(machine: &Machine) -> Vec<String> {
+    let forms = machine.terms.iter().flat_map(|term| term.effect.on_board());
+    let mut columns: Vec<String> = forms
+        .filter_map(|form| match form {
+            OnBoard::Condition { column, .. } => Some(column),
+            _ => None,
+        })
+        .collect();
+    columns.sort_unstable();
+    columns.dedup();
+    columns
 }
 
 pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CHANNELS], BadInput> {
@@ -126,7 +182,15 @@ pub(super) fn inverse(
     has_sensor: bool,
     thermometers: &[Option<Thermometer>; CHANNELS],
     guards: &Guards,
+    terms: &Terms<'_>,
 ) -> Option<Inputs> {
+    let of_term = |term: &Term<'_>| match term.effect {
+        Effect::Condition(OnOff { bit, default, .. }) => {
+            Some((condition_column(bit), ConditionInput { bit, default }))
+        }
+        _ => None,
+    };
+    let conditions: BTreeMap<_, _> = terms.iter().flatten().filter_map(of_term).collect();
     let mut temperatures = BTreeMap::new();
     for ((channel, &thermometer), &tenths) in (0..).zip(thermometers).zip(&guards.max_rates) {
         let kind = match thermometer {
@@ -146,7 +210,8 @@ pub(super) fn inverse(
     let sensor = has_sensor.then_some(SHOWN_INPUT);
     let service_switch = guards.service_switch;
     let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
-    is_connected.then_some(Inputs { sensor, temperatures, service_switch })
+    let is_connected = is_connected || !conditions.is_empty();
+    is_connected.then_some(Inputs { sensor, temperatures, conditions, service_switch })
 }
 
 /// A calibration holds channels, not the names of columns.

@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 
 use super::curve::{pieces_of, steepest};
 use crate::{
-    effect::{Angle, Effect, OnBoard},
+    effect::{Angle, Effect, OnBoard, Times},
     file::{BSpline, Limits, LinearAxis, Machine, Pitch},
     location::BadInput,
 };
@@ -107,6 +107,10 @@ fn of_form(form: &OnBoard) -> Slope {
         OnBoard::OwnPosition(um_per_m)
         | OnBoard::Position { um_per_m, .. }
         | OnBoard::Reversed { um_per_m, .. } => even(um_per_m / 1000.0),
+        OnBoard::Tool { times, .. } | OnBoard::Condition { times, .. } => match times {
+            Times::Position => even(form.largest_level() / 1000.0),
+            _ => even(0.0),
+        },
         OnBoard::Offset(_)
         | OnBoard::Gain(_)
         | OnBoard::Curvature(_)

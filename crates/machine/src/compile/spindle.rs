@@ -122,5 +122,7 @@ pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
         sensor: has_sensor(spindle).then(|| sensor::inverse(&spindle.sensor)),
         warmup: spindle.warmup.as_ref().map(warm_up::inverse),
         temperature: spindle.temperature.as_ref().map(heat::inverse_of_spindle),
+        // Among the terms until they are known.
+        tools: None,
     }
 }

@@ -6,6 +6,7 @@
 //! from one to the next. A constant is among what is added: that of a factor, a bend or a limit goes to
 //! the last of these.
 
+pub(super) mod category;
 mod inverse;
 
 use std::borrow::Cow;
@@ -59,6 +60,7 @@ enum OwnedEffect {
     Table(PitchTables),
     Curve(file::LinearAxis, OwnedCurve),
     Tilt(term::Tilt<OwnedCurve>),
+    Tools(category::OwnedTools),
 }
 
 impl Owned {
@@ -69,6 +71,7 @@ impl Owned {
             OwnedEffect::Curve(axis, curve) => {
                 Effect::Curve { axis: linear(*axis), curve: curve.view() }
             }
+            OwnedEffect::Tools(tools) => Effect::Tool(tools.view()),
             OwnedEffect::Tilt(tilt) => {
                 let &term::Tilt { along, lever, origin, ref angle } = tilt;
                 Effect::TiltCurve(term::Tilt { along, lever, origin, angle: angle.view() })
@@ -104,7 +107,9 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
         _ => term.constant_um,
     };
     for &(index, term) in &ordered {
-        let key = format!("term[{index}]");
+        // The growth by tool is the last.
+        let is_list = machine.spindle.tools.is_some() && index + 1 == machine.terms.len();
+        let key = if is_list { "spindle.tools".into() } else { format!("term[{index}]") };
         let target = match term.quantity.axis() {
             None => Target::Elongation,
             Some(axis) => Target::Axis(linear(axis)),
@@ -214,6 +219,15 @@ fn effect(
         OnBoard::Tilt(it) => {
             let own = term.quantity.axis();
             return Ok(Some(account.take(key, tilt(own, it))?));
+        }
+        OnBoard::Tool { tools, other, times } => {
+            let made = category::tools(tools, *other, times);
+            return Ok(Some(account.take(key, made)?));
+        }
+        OnBoard::Condition { column, off, on, lag_s, times } => {
+            let inputs = machine.inputs.as_ref();
+            category::condition(inputs, column, [*off, *on], *lag_s, times)
+                .map(|(it, nm)| (Effect::Condition(it), nm))
         }
         &OnBoard::Wave { period_mm, harmonic, amplitude_um, phase_deg } => {
             wave(period_mm, Wave { harmonic, amplitude_um, phase_deg })

@@ -1,38 +1,36 @@
 //! `dependence`: an error that depends on a recorded input by no law that has a physical name.
 //!
 //! ```text
-//! level   p + aₖ·f where the column is level k           an unseen level adds 0
+//! level   p + aₖ·f where the column is level k           an unseen level adds `level_default`, else 0;
+//!                                                        a switch (0, 1) may act behind a lag
 //! line    p + c·(x − x₀)·f                                goes on outside the fitted range
 //! hinge   p + c·max(0, x − from)·f                        goes on outside the fitted range
 //! f       1, (n/1000)², P/1000 of the own axis, the growth by the sensor's own law (elongation only), or y − y₀ of a
 //!         second column, a temperature or the load
 //! ```
 //!
-//! x is the value of a column that no other cause reads: a pressure, a flow, a switch, a tool number. No
-//! board reads it, so the term explains and is not compensated.
+//! x is the value of a column that no other cause reads: a pressure, a flow, a switch, a tool number. The CNC
+//! sends a board the tool and its switches: levels of these are compensated ([`Form::Level`]). What no board
+//! reads explains and is not compensated.
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value, number,
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value, number,
     },
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{read::Section, spindle::ElongationSource},
+    file::{LinearAxis, read::Section, spindle::ElongationSource},
+    tool::TOOL_COLUMN,
     location::BadInput,
 };
+use board::{Levels, by_category, levels_of};
 use times::LOAD;
-pub use times::Times;
 use values::{SWITCH, bends, first, levels, tools, zero_of};
 
+mod board;
 mod times;
 mod values;
-
-
-
-/// The column of the tool's number.
-const TOOL: &str = "tool";
-
 
 /// How the error depends on the column.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +41,10 @@ pub enum Form {
         levels: Vec<f64>,
         /// a of each level.
         added: Vec<f64>,
+        /// a of every other value.
+        otherwise: f64,
+        /// Time constant in s by which a switch acts; 0 of all else.
+        lag_s: f64,
     },
     /// Proportional to the column.
     Line {
@@ -89,6 +91,20 @@ impl Dependence {
         usize::from(self.times == Times::One)
     }
 
+    /// Returns a at this value of the column.
+    fn level(&self, value: f64) -> f64 {
+        let Form::Level { levels, added, otherwise, .. } = &self.form else { return 0.0 };
+        let found = levels.iter().zip(added).find(|(level, _)| **level == value);
+        found.map_or(*otherwise, |(_, added)| *added)
+    }
+
+    /// Returns what it is on a board, if a board runs it.
+    fn by_category(&self) -> Option<OnBoard> {
+        let Form::Level { levels, otherwise, lag_s, .. } = &self.form else { return None };
+        let of = |level: f64| (level, self.level(level));
+        by_category(&self.column, &self.times, levels, of, [*otherwise, *lag_s])
+    }
+
     fn factor(&self, x: &[f64]) -> f64 {
         match (&self.times, x.get(1)) {
             (Times::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
@@ -112,9 +128,12 @@ impl Page for Dependence {
             entries.push(("times_reference", Value::Number(reference)));
         }
         match &self.form {
-            Form::Level { levels, added } => {
+            Form::Level { levels, added, otherwise, lag_s } => {
                 entries.push(("levels", Value::Numbers(levels.clone())));
                 entries.push((level_key, Value::Numbers(added.clone())));
+                for (key, value) in [("level_default", *otherwise), ("lag_s", *lag_s)] {
+                    entries.extend((value != 0.0).then_some((key, Value::Number(value))));
+                }
             }
             Form::Line { slope, reference } => {
                 entries.push((slope_key, Value::Number(*slope)));
@@ -136,9 +155,12 @@ impl Page for Dependence {
         }
     }
 
-    /// No board reads the column.
     fn is_compensated(&self) -> bool {
-        false
+        self.by_category().is_some()
+    }
+
+    fn on_board(&self) -> Vec<OnBoard> {
+        self.by_category().into_iter().collect()
     }
 
     fn tier(&self) -> u8 {
@@ -146,7 +168,13 @@ impl Page for Dependence {
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        let mut inputs = vec![Input::Column(&self.column)];
+        let first = match self.form {
+            Form::Level { lag_s, .. } if lag_s != 0.0 => {
+                Input::Switch { column: &self.column, lag_s }
+            }
+            _ => Input::Column(&self.column),
+        };
+        let mut inputs = vec![first];
         inputs.extend(self.times.input());
         inputs
     }
@@ -210,7 +238,7 @@ impl Page for Dependence {
         found.set(values);
         let (column, unit) = (&self.column, self.times.unit());
         let how = match &found.form {
-            Form::Level { levels, added } => {
+            Form::Level { levels, added, .. } => {
                 let each = levels.iter().zip(added).skip(self.without_amplitude());
                 let each: Vec<String> = each
                     .map(|(level, added)| format!("{added:+.3}{unit} at {column} = {level}"))
@@ -276,6 +304,8 @@ impl Definition for Dependence {
             "um_per_unit_per_m",
             "um_per_unit_per_unit",
             "times_reference",
+            "level_default",
+            "lag_s",
             "reference",
             "from",
         ]
@@ -310,7 +340,13 @@ impl Definition for Dependence {
                     let rule = "begins with 0: the first of levels adds nothing";
                     return Err(section.bad(level_key, rule));
                 }
-                Form::Level { levels, added }
+                let lag_s = section.not_negative("lag_s")?.unwrap_or(0.0);
+                if lag_s != 0.0 && !levels.iter().all(|level| SWITCH.contains(level)) {
+                    let rule = "belongs to levels of 0 and 1: a condition that acts behind a lag";
+                    return Err(section.bad("lag_s", rule));
+                }
+                let otherwise = section.number("level_default")?.unwrap_or(0.0);
+                Form::Level { levels, added, otherwise, lag_s }
             }
             1 => Form::Line {
                 slope: number(section, slope_key)?,
@@ -327,14 +363,25 @@ impl Definition for Dependence {
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
         let factor = self.factor(x);
         match &self.form {
-            Form::Level { levels, .. } => {
+            Form::Level { levels, otherwise, lag_s, .. } => {
                 // Which level a missing value is, is not known.
                 if x[0].is_nan() {
                     add(0, f64::NAN);
                 }
-                let level = levels.iter().position(|level| *level == x[0]);
-                if let Some(number) = level.and_then(|it| it.checked_sub(self.without_amplitude())) {
-                    add(number, factor);
+                let first = self.without_amplitude();
+                if *lag_s != 0.0 {
+                    // On its way from off to on.
+                    for (number, level) in levels.iter().enumerate().skip(first) {
+                        let share = if *level == 0.0 { 1.0 - x[0] } else { x[0] };
+                        add(number - first, share * factor);
+                    }
+                    return;
+                }
+                match levels.iter().position(|level| *level == x[0]) {
+                    Some(number) if number >= first => add(number - first, factor),
+                    // What is no amplitude is added as it is.
+                    None if *otherwise != 0.0 => add(usize::MAX, otherwise * factor),
+                    _ => {}
                 }
             }
             Form::Line { reference, .. } => add(0, (x[0] - reference) * factor),
@@ -345,6 +392,11 @@ impl Definition for Dependence {
                 add(0, if above < 0.0 { 0.0 } else { above } * factor);
             }
         }
+    }
+
+    fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
+        let Levels { column, levels, added, otherwise, lag_s, times } = levels_of(form)?;
+        Some(Self { column, form: Form::Level { levels, added, otherwise, lag_s }, times })
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
@@ -364,7 +416,7 @@ impl Definition for Dependence {
         let known = survey.temperatures().into_iter().chain([LOAD]);
         let known: Vec<(&str, &[f64])> = known.filter_map(|name| varying(survey, name)).collect();
         for (number, &(column, values)) in all.iter().enumerate() {
-            let levels = if column == TOOL { tools(values) } else { levels(values) };
+            let levels = if column == TOOL_COLUMN { tools(values) } else { levels(values) };
             // A product is the same the other way round; a category is never the second factor.
             let later = all.iter().enumerate().filter(|(n, (_, values))| {
                 (levels.is_some() && *n != number || *n > number) && self::levels(values).is_none()
@@ -381,14 +433,15 @@ impl Definition for Dependence {
                 if levels.is_some() {
                     // A tool that never turned says nothing of what it does at speed.
                     let acting = acting(survey, values, &times);
-                    let levels = if column == TOOL { tools(&acting) } else { self::levels(&acting) };
+                    let levels = if column == TOOL_COLUMN { tools(&acting) } else { self::levels(&acting) };
                     let Some(levels) = levels else { continue };
                     let added = vec![0.0; levels.len()];
-                    propose(Form::Level { levels, added }, Settings::none());
+                    let form = Form::Level { levels, added, otherwise: 0.0, lag_s: 0.0 };
+                    propose(form, Settings::none());
                     continue;
                 }
                 // The number of a tool is no amount.
-                if column == TOOL {
+                if column == TOOL_COLUMN {
                     continue;
                 }
                 let reference = if is_alone { first(values) } else { zero_of(values) };

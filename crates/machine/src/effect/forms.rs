@@ -82,3 +82,23 @@ pub enum LateForm {
         slope_over: f64,
     },
 }
+
+/// What a dependence on a column is multiplied by: f.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Times {
+    /// 1.
+    One,
+    /// (n/1000)², n the speed of the spindle in r/min.
+    Speed2,
+    /// The growth by the sensor's own law.
+    Growth,
+    /// P/1000, P the position of the own axis in mm.
+    Position,
+    /// y − y₀.
+    Column {
+        /// The second column.
+        column: String,
+        /// y₀, in its unit.
+        reference: f64,
+    },
+}

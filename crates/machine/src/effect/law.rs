@@ -23,7 +23,11 @@ pub(super) fn columns<P: Definition>(
     source: &dyn Columns,
 ) -> Vec<Vec<f64>> {
     let mut columns = vec![vec![0.0; source.rows()]; page.amplitudes().max(1)];
-    at_rows(page, nonlinear, source, |row, number, um| columns[number][row] += um);
+    at_rows(page, nonlinear, source, |row, number, um| {
+        if let Some(column) = columns.get_mut(number) {
+            column[row] += um;
+        }
+    });
     columns
 }
 

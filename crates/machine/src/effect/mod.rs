@@ -27,6 +27,7 @@
 //! heat add. Predicting, compiling and diagnosing have this order from
 //! [`in_order`](crate::file::in_order).
 
+mod category;
 mod forms;
 mod heat;
 mod law;
@@ -37,12 +38,12 @@ mod wave;
 
 use std::ops::{Deref, DerefMut};
 
-pub use dependence::{Form, Times};
+pub use dependence::Form;
 pub use forms::heating;
 pub use law::Columns;
 pub use page::{
     Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
-    Page, Parameter, SpeedHeat, Stage, Tilt, Value,
+    Page, Parameter, SpeedHeat, Stage, Tilt, Times, Value,
 };
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
@@ -248,7 +249,7 @@ impl Effect {
             Input::Load => Some("load_n".into()),
             Input::Feed => Some(feed_dependent_backlash::FEED.into()),
             Input::Position(axis) => Some(format!("{}_mm", axis.name())),
-            Input::Column(column) => Some(column.into()),
+            Input::Column(column) | Input::Switch { column, .. } => Some(column.into()),
             _ => None,
         }
     }
@@ -276,6 +277,7 @@ impl Effect {
                 Input::OwnPosition => columns.extend(quantity.axis().map(position)),
                 Input::Position(axis) => columns.push(position(axis)),
                 Input::Column(column) => columns.push(column.into()),
+                Input::Switch { column, .. } => columns.extend([column.into(), "time_s".into()]),
                 Input::Predicted | Input::Law | Input::Believed | Input::OwnDirection => {}
             }
         }

@@ -24,7 +24,7 @@ use crate::{
     location::BadInput,
 };
 
-pub use super::forms::{Angle, Heat, Late, LateForm, SpeedHeat, Tilt};
+pub use super::forms::{Angle, Heat, Late, LateForm, SpeedHeat, Tilt, Times};
 pub use super::quantity::Quantity;
 pub use crate::file::write::section::Value;
 
@@ -69,6 +69,13 @@ pub enum Input<'a> {
     Position(LinearAxis),
     /// Any other column of the run.
     Column(&'a str),
+    /// Such a column of 0 and 1, behind a first-order lag.
+    Switch {
+        /// Its name.
+        column: &'a str,
+        /// The lag's time constant, in s; above 0.
+        lag_s: f64,
+    },
 }
 
 /// When a cause acts, in the order in which a prediction is made.
@@ -229,6 +236,28 @@ pub enum OnBoard {
         amplitude_um: f64,
         /// φ.
         phase_deg: f64,
+    },
+    /// + a·f, a by the number of the tool.
+    Tool {
+        /// The tools with their a, no number twice.
+        tools: Vec<(u16, f64)>,
+        /// a of every other tool.
+        other: f64,
+        /// f.
+        times: Times,
+    },
+    /// + a·f, a by a condition.
+    Condition {
+        /// The column of the condition.
+        column: String,
+        /// a while it does not hold.
+        off: f64,
+        /// a while it holds.
+        on: f64,
+        /// The time constant by which it acts, in s.
+        lag_s: f64,
+        /// f.
+        times: Times,
     },
 }
 

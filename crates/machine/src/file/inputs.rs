@@ -8,10 +8,13 @@ use super::{
 };
 use crate::{
     inputs::{
-        CountScale, Inputs, LAST_CHANNEL, LinearInput, RATES_C_PER_MIN, REFERENCE_VOLTS,
-        SensorInput, TemperatureInput, TemperatureKind, USUAL_FULL_SCALE_V, WIRED_DIVIDER,
+        ConditionInput, CountScale, Inputs, LAST_CHANNEL, LinearInput, RATES_C_PER_MIN,
+        REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind, USUAL_FULL_SCALE_V,
+        WIRED_DIVIDER,
     },
     location::{BadInput, shortened},
+    run_file::is_known_column,
+    tool::TOOL_COLUMN,
 };
 
 pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
@@ -23,6 +26,14 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
                 section.section(key)?.map(|sensor| read_sensor_input(&sensor)).transpose()?;
         } else if key == "service_switch" {
             inputs.service_switch = section.boolean(key)?.unwrap_or_default();
+        } else if let Some(condition) = section.section(key)?.filter(is_condition) {
+            let input = read_condition(&condition, key)?;
+            let is_taken = |(_, it): &(&String, &ConditionInput)| it.bit == input.bit;
+            if let Some((other, _)) = inputs.conditions.iter().find(is_taken) {
+                let rule = format!("{} is already that of {other}", input.bit);
+                return Err(condition.bad("bit", rule));
+            }
+            inputs.conditions.insert(key.to_string(), input);
         } else if let Some(channel) = section.section(key)? {
             let input = read_temperature_input(&channel)?;
             if let Some(other) = column_of_channel.insert(input.channel, key) {
@@ -33,6 +44,21 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
         }
     }
     Ok(inputs)
+}
+
+/// Whether an input says that it is a condition.
+pub(super) fn is_condition(section: &Section<'_>) -> bool {
+    section.text("kind").ok().flatten() == Some("condition")
+}
+
+fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, BadInput> {
+    if name == TOOL_COLUMN || is_known_column(name) {
+        return Err(section
+            .bad("kind", format!("cannot be \"condition\": a column {name} is something else")));
+    }
+    let bit = section.required("bit", section.whole("bit", 0, 15)?)?;
+    let bit = u8::try_from(bit).expect("held to the range of u8 above");
+    Ok(ConditionInput { bit, default: section.whole("default", 0, 1)?.unwrap_or(0) != 0 })
 }
 
 /// The run-file column of a temperature, which `key` names.
@@ -222,6 +248,16 @@ pub(super) fn write(inputs: &Inputs) -> NewSection {
             }
         }
         entries.extend(max_c_per_min.map(|rate| number("max_c_per_min", rate)));
+        section = section.with(column, Value::Inline(entries));
+    }
+    for (column, ConditionInput { bit, default }) in &inputs.conditions {
+        let mut entries = vec![
+            ("kind".to_string(), Value::Text("condition".into())),
+            ("bit".to_string(), Value::Whole((*bit).into())),
+        ];
+        if *default {
+            entries.push(("default".to_string(), Value::Whole(1)));
+        }
         section = section.with(column, Value::Inline(entries));
     }
     section

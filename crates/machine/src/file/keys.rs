@@ -4,92 +4,14 @@
 //! not stand here is refused wherever it is used; the JSON schema and the tables of `docs/reference.md` are
 //! made of it ([`crate::schema`]).
 
+mod key;
+mod term;
+
 use crate::inputs::LAST_CHANNEL;
 
-/// A key of a section.
-#[derive(Clone, Copy, Debug)]
-pub struct Key {
-    /// Its name; `<name>` stands for any word.
-    pub name: &'static str,
-    /// What may stand there.
-    pub form: Form,
-    /// Whether it must.
-    pub need: Need,
-    /// Its unit; empty where there is none.
-    pub unit: &'static str,
-    /// What it is, a sentence without its full stop.
-    pub meaning: &'static str,
-    /// A value, as TOML; empty for a section.
-    pub example: &'static str,
-}
-
-/// What may stand at a key.
-#[derive(Clone, Copy, Debug)]
-pub enum Form {
-    /// Any string.
-    Text,
-    /// `true` or `false`.
-    Boolean,
-    /// One of these strings.
-    Choice(&'static [&'static str]),
-    /// The name of a temperature column, `temp_<name>_c`.
-    Column,
-    /// Any finite number.
-    Number,
-    /// A number above 0.
-    Positive,
-    /// A number of 0 or above.
-    NotNegative,
-    /// A whole number from the first to the second.
-    Whole(u32, u32),
-    /// Numbers, 1 to 4096.
-    Numbers,
-    /// A number, or several.
-    NumberOrNumbers,
-    /// Three numbers.
-    Vector,
-    /// Rows of three numbers, 1 to 4096.
-    Rows,
-    /// Strings of these.
-    Choices(&'static [&'static str]),
-    /// A table with these keys.
-    Table(&'static [Key]),
-    /// Any number of tables with the keys of their cause.
-    Terms,
-}
-
-/// Whether a key must be there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Need {
-    /// It must.
-    Required,
-    /// Without it there is none.
-    Optional,
-    /// Without it it is this, as TOML.
-    Default(&'static str),
-}
-
-const fn key(name: &'static str, form: Form, unit: &'static str, meaning: &'static str) -> Key {
-    Key { name, form, need: Need::Optional, unit, meaning, example: "" }
-}
-
-const fn section(name: &'static str, keys: &'static [Key], meaning: &'static str) -> Key {
-    key(name, Form::Table(keys), "", meaning)
-}
-
-impl Key {
-    const fn required(self) -> Self {
-        Self { need: Need::Required, ..self }
-    }
-
-    const fn or(self, default: &'static str) -> Self {
-        Self { need: Need::Default(default), example: default, ..self }
-    }
-
-    const fn as_in(self, example: &'static str) -> Self {
-        Self { example, ..self }
-    }
-}
+pub use key::{Form, Key, Need};
+use key::{key, section};
+pub use term::{TERM, TERM_KEYS};
 
 use Form::{
     Boolean, Choice, Choices, Column, NotNegative, Number, Numbers, Positive, Rows, Terms, Text,
@@ -135,6 +57,19 @@ const THERMOMETER: &[Key] = &[
         .as_in("60.0"),
 ];
 
+const CONDITION: &[Key] = &[
+    key(
+        "kind",
+        Choice(&["condition"]),
+        "",
+        "a condition of the machine that holds (1) or not (0), from the CNC",
+    )
+    .required()
+    .as_in("\"condition\""),
+    key("bit", Whole(0, 15), "", "its bit in `Conditions`; no two share one").required().as_in("0"),
+    key("default", Whole(0, 1), "", "what counts while the CNC does not send it").or("0"),
+];
+
 const INPUTS: &[Key] = &[
     key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground; it holds from this calibration's first start on, also against the next one")
         .or("false"),
@@ -144,6 +79,7 @@ const INPUTS: &[Key] = &[
         THERMOMETER,
         "how the thermometer of that column reaches the board; at most eight",
     ),
+    section("<condition>", CONDITION, "a column of a run with 0 and 1, as `coolant_on`, that the CNC sends; known by `kind`"),
 ];
 
 const SENSOR: &[Key] = &[
@@ -196,12 +132,35 @@ const TEMPERATURE: &[Key] = &[
         .or("0.0"),
 ];
 
+const TOOL_GROWTH: Key = key("um_per_krpm2", Number, "µm", "growth with speed, for (1000 r/min)²")
+    .required()
+    .as_in("0.021");
+
+const TOOL: &[Key] = &[
+    TOOL_GROWTH,
+    key("number", Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").as_in("7"),
+    key("label", Text, "", "of a key that is a number: what the column `tool` of a run file calls it").as_in("\"drill\""),
+];
+
+const TOOLS: &[Key] = &[
+    Key {
+        need: Need::Required,
+        ..section(
+            "default",
+            &[TOOL_GROWTH],
+            "every tool that is not in the list, and while no tool is known",
+        )
+    },
+    section("<tool>", TOOL, "a tool, by the number that the CNC sends or by a label; at most 32"),
+];
+
 const SPINDLE: &[Key] = &[
     key("source", Choice(&["sensor", "warmup", "temperature"]), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
         .as_in("\"sensor\""),
     section("sensor", SENSOR, "growth by a displacement sensor: `k0_um` + (reading − zero) · slope"),
     section("warmup", WARMUP, "growth over the time that the spindle has run"),
     section("temperature", TEMPERATURE, "growth by a temperature: `k_um_per_c` · (T − `reference_c`)"),
+    section("tools", TOOLS, "growth with speed by tool, added to the model in use: `um_per_krpm2` · (n/1000)²"),
 ];
 
 const THERMAL: &[Key] = &[
@@ -379,122 +338,4 @@ pub const FILE: &[Key] = &[
     ),
     section("instrument", INSTRUMENT, "what the machine is measured with"),
     key("term", Terms, "", "a cause that `trueup diagnose` has added"),
-];
-
-/// Keys that every term has.
-pub const TERM: &[Key] = &[
-    key("cause", Text, "", "its name in the table of causes").required().as_in("\"pitch-scale\""),
-    key("quantity", Choice(&["elongation", "dx", "dy", "dz"]), "", "what it changes")
-        .required()
-        .as_in("\"dx\""),
-    key("constant_um", Number, "µm", "added as well: the reference of a measurement is arbitrary")
-        .or("0.0"),
-];
-
-/// Keys of the causes, each with one form wherever it stands.
-pub const TERM_KEYS: &[Key] = &[
-    key("along", Choice(AXES), "", "the axis whose position counts").as_in("\"x\""),
-    key(
-        "amplitude_um",
-        Form::NumberOrNumbers,
-        "µm",
-        "how large it is, or one of each for several waves",
-    )
-    .as_in("1.5"),
-    key("at_feed_mm_per_min", Number, "mm/min", "the feed at which the machine is used")
-        .as_in("1000.0"),
-    key("at_s", Number, "s", "when, in the run's `time_s`").as_in("1200.0"),
-    key("axis", Choice(AXES), "", "the other axis").as_in("\"y\""),
-    key("column", Text, "", "the run's column that it follows").as_in("\"temp_bed_c\""),
-    key("control_um", Numbers, "µm", "control points of a curve").as_in("[0.0, 3.0]"),
-    key("control_urad", Numbers, "µrad", "control points of a curve of angles").as_in("[0.0, 3.0]"),
-    key("description", Text, "", "in words").as_in("\"sweeps\""),
-    key("factor_per_unit", Number, "", "times the growth, for one unit of the column")
-        .as_in("0.01"),
-    key("feeds_mm_per_min", Numbers, "mm/min", "feeds, rising").as_in("[100.0, 1000.0]"),
-    key(
-        "form",
-        Choice(&["lag", "delay", "level", "line", "hinge"]),
-        "",
-        "in which way a thermometer is late, or an error depends on a column",
-    )
-    .as_in("\"lag\""),
-    key("forward_um", Numbers, "µm", "errors at points of equal distance").as_in("[0.0, 1.5]"),
-    key("fraction", NotNegative, "", "share of the rows").as_in("0.01"),
-    key("from", Number, "", "the value of the column above which it acts").as_in("35.0"),
-    key("gain", Number, "", "the sensor's law times this").as_in("1.2"),
-    key("harmonic", Form::NumberOrNumbers, "", "whole numbers from 1 to 1000").as_in("1"),
-    key("input", Choice(&["speed", "speed2"]), "", "the heating speed").as_in("\"speed2\""),
-    key("knots_mm", Numbers, "mm", "knots of a curve").as_in("[0.0, 0.0, 100.0, 100.0]"),
-    key("level_factor", Numbers, "", "times the growth, at each of `levels`").as_in("[0.0, 0.1]"),
-    key("level_um", Numbers, "µm", "what is added at each of `levels`").as_in("[0.0, 5.0]"),
-    key("level_um_per_krpm2", Numbers, "µm", "at each of `levels`, for (1000 r/min)²")
-        .as_in("[0.0, 0.01]"),
-    key("level_um_per_m", Numbers, "µm/m", "at each of `levels`, a metre").as_in("[0.0, 3.0]"),
-    key(
-        "level_um_per_unit",
-        Numbers,
-        "µm",
-        "at each of `levels`, for one unit of the second column",
-    )
-    .as_in("[0.0, 0.2]"),
-    key("levels", Numbers, "", "values of the column, the first adds nothing").as_in("[0.0, 1.0]"),
-    key("lever", Choice(AXES), "", "the axis along which the lever is").as_in("\"z\""),
-    key("limit_um", Number, "µm", "where the sensor's range ends").as_in("90.0"),
-    key("offset_um", Number, "µm", "what is added").as_in("1.0"),
-    key("order", Whole(2, 4), "", "degree of a curve plus one").as_in("2"),
-    key("origin_mm", Number, "mm", "where it is 0").as_in("0.0"),
-    key("per_um", Number, "1/µm", "c of p + c·p²").as_in("0.001"),
-    key("period_mm", Positive, "mm", "the length of a wave").as_in("10.0"),
-    key("phase_deg", Form::NumberOrNumbers, "°", "of a wave at 0 mm").as_in("0.0"),
-    key("reference", Number, "", "the value of the column at which it is 0").as_in("20.0"),
-    key("reference_c", Number, "°C", "where it is 0").as_in("20.0"),
-    key("reference_run", Number, "", "the run at which it is 0").as_in("1.0"),
-    key("reverse_um", Numbers, "µm", "errors approached in the negative direction")
-        .as_in("[0.5, 2.0]"),
-    key("scale", Number, "", "the growth times this").as_in("1.1"),
-    key("shift_c", Number, "K", "what the reference temperature is higher by").as_in("0.5"),
-    key("shift_s", Number, "s", "by how much the measurement comes later").as_in("2.0"),
-    key("size_um", Number, "µm", "how far it went").as_in("5.0"),
-    key(
-        "slope_over",
-        NotNegative,
-        "",
-        "over which share of the time constant the slope is taken, up to 1",
-    )
-    .as_in("0.2"),
-    key("start_mm", Number, "mm", "the first point").as_in("0.0"),
-    key("start_s", Number, "s", "when it begins, in the run's `time_s`").as_in("0.0"),
-    key("step_mm", Positive, "mm", "from point to point").as_in("100.0"),
-    key("time_constant_s", NotNegative, "s", "of the first-order lag").as_in("600.0"),
-    key(
-        "times",
-        Text,
-        "",
-        "what it is multiplied by: `speed2`, `growth`, `position`, or the name of a column",
-    )
-    .as_in("\"speed2\""),
-    key("times_reference", Number, "", "the value of the second column at which it is 0")
-        .as_in("20.0"),
-    key("um_per_c", Number, "µm/K", "for one kelvin").as_in("1.0"),
-    key("um_per_h", Number, "µm/h", "for one hour").as_in("0.5"),
-    key("um_per_krpm", Number, "µm", "for 1000 r/min").as_in("0.5"),
-    key("um_per_krpm2", Number, "µm", "for (1000 r/min)²").as_in("0.01"),
-    key("um_per_m", Number, "µm/m", "for one metre").as_in("3.0"),
-    key("um_per_m_per_c", Number, "µm/(m·K)", "for one metre and kelvin").as_in("11.5"),
-    key("um_per_n", Number, "µm/N", "for one newton").as_in("0.01"),
-    key("um_per_run", Number, "µm", "from run to run").as_in("0.5"),
-    key("um_per_unit", Number, "µm", "for one unit of the column").as_in("0.2"),
-    key("um_per_unit_per_krpm2", Number, "µm", "for one unit of the column and (1000 r/min)²")
-        .as_in("0.001"),
-    key("um_per_unit_per_m", Number, "µm/m", "for one unit of the column and metre").as_in("0.1"),
-    key("um_per_unit_per_unit", Number, "µm", "for one unit of either column").as_in("0.01"),
-    key("urad_per_m", Number, "µrad/m", "angle for one metre").as_in("5.0"),
-    key(
-        "width_um",
-        Form::NumberOrNumbers,
-        "µm",
-        "of the backlash; one for each feed where it depends on it",
-    )
-    .as_in("4.0"),
 ];

@@ -2,7 +2,12 @@
 //!
 //! A model that is not the source is kept: it is what the board falls back to.
 
-use super::{inputs::read_temperature_column, read::Section, write::section::NewSection};
+use super::{
+    inputs::read_temperature_column,
+    read::Section,
+    tools::{self, Tools},
+    write::section::NewSection,
+};
 use crate::{inputs::SensorInput, location::BadInput};
 
 /// How the spindle grows.
@@ -16,6 +21,8 @@ pub struct Spindle {
     pub warmup: Option<Warmup>,
     /// The growth over a temperature.
     pub temperature: Option<TemperatureModel>,
+    /// How each tool grows with speed.
+    pub tools: Option<Tools>,
 }
 
 /// Where the elongation comes from.
@@ -115,6 +122,7 @@ pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
             .section("temperature")?
             .map(|model| read_temperature(&model))
             .transpose()?,
+        tools: section.section("tools")?.map(|list| tools::read(&list)).transpose()?,
     };
     let missing = spindle.source.filter(|source| match source {
         ElongationSource::Sensor => spindle.sensor.is_none(),
@@ -200,6 +208,7 @@ pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
     sections.extend(spindle.sensor.as_ref().map(write_sensor));
     sections.extend(spindle.temperature.as_ref().map(write_temperature));
     sections.extend(spindle.warmup.as_ref().map(write_warmup));
+    sections.extend(spindle.tools.as_ref().map(tools::write));
     sections
 }
 

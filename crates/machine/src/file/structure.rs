@@ -4,7 +4,7 @@
 use std::{collections::BTreeSet, path::Path};
 
 use super::{
-    inputs::{is_temperature_column, read_temperature_column},
+    inputs::{is_condition, is_temperature_column, read_temperature_column},
     keys::{Form, Key, Need, TERM, TERM_KEYS},
     read::{Document, Section},
     term,
@@ -15,7 +15,7 @@ use crate::{effect::Cause, location::BadInput};
 pub(super) fn faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     let mut faults = faults_of_values(section, keys);
     // A misspelt key would be reported as a missing one too.
-    if section.keys().iter().any(|name| !keys.iter().any(|key| is_named(key, name))) {
+    if section.keys().iter().any(|name| !keys.iter().any(|key| is_named(section, key, name))) {
         return faults;
     }
     let there: BTreeSet<&str> = section.keys().into_iter().collect();
@@ -33,7 +33,7 @@ fn faults_of_values(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     let mut faults = Vec::new();
     let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
     for name in section.keys() {
-        match keys.iter().find(|key| is_named(key, name)) {
+        match keys.iter().find(|key| is_named(section, key, name)) {
             Some(key) => of_value(section, name, key, &mut faults),
             None => faults.push(unknown(section, name, &names)),
         }
@@ -92,13 +92,21 @@ fn explained(error: BadInput, key: &Key) -> BadInput {
 fn unknown(section: &Section<'_>, name: &str, names: &[&str]) -> BadInput {
     let mut error = section.unknown(name, names.iter().copied());
     if names.contains(&"temp_<name>_c") {
-        error.rule.push_str("; the inputs are sensor and temp_<name>_c");
+        error.rule.push_str(
+            "; the inputs are sensor, temp_<name>_c, and any name with kind = \"condition\"",
+        );
     }
     error.with_help(format!("the keys here are {}", names.join(", ")))
 }
 
-fn is_named(key: &Key, name: &str) -> bool {
-    if key.name.contains('<') { is_temperature_column(name) } else { key.name == name }
+/// Whether `name` in `section` is this key. A condition may have any name, and is known by its kind; so may a tool.
+fn is_named(section: &Section<'_>, key: &Key, name: &str) -> bool {
+    match key.name {
+        "<condition>" => section.section(name).ok().flatten().is_some_and(|it| is_condition(&it)),
+        "<tool>" => name != "default",
+        pattern if pattern.contains('<') => is_temperature_column(name),
+        exact => exact == name,
+    }
 }
 
 fn with_example(help: String, key: &Key) -> String {

@@ -8,7 +8,7 @@
 
 use std::borrow::Cow;
 
-use super::{Lag, Situation};
+use super::{Lag, Situation, by_tool::growth_by_tool};
 use crate::{
     effect::{Constants, Input, Quantity, Stage, heating},
     file::{LinearAxis, Machine, Term, in_order},
@@ -29,6 +29,11 @@ pub struct Falling {
 #[must_use]
 pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
     let mut corrected = machine;
+    // How the tools grow is a term like any other; it is here already where this is called again.
+    let by_tool = corrected.spindle.tools.as_ref().map(growth_by_tool);
+    if let Some(term) = by_tool.filter(|term| corrected.terms.last() != Some(term)) {
+        corrected.to_mut().terms.push(term);
+    }
     let mut falling = Falling::default();
     let corrects = |term: &Term| matches!(term.effect.stage(), Stage::Constant | Stage::Falling);
     let ordered = in_order(&corrected.terms).into_iter();
@@ -116,6 +121,7 @@ fn changed(
         }
         Input::Position(axis) => of(axis),
         Input::Column(column) => situation.other(column),
+        Input::Switch { column, lag_s } => lag.step(lag_s, time_s, situation.other(column)),
         // Only a diagnosis reads it, to find the error of an instrument.
         Input::Believed => f64::NAN,
     };

@@ -2,6 +2,7 @@
 
 use trueup_core::{
     calibration::Calibration,
+    cnc::Conditions,
     dimensions::{CHANNELS, STEP_MS},
     heat::{FIRST_TERM, Heat},
     lag::SmoothingFactor,
@@ -13,10 +14,12 @@ use trueup_core::{
 };
 
 use crate::{
-    compile::{Compiled, compile, term::PARTS_OF_N},
+    compile::{Compiled, compile, conditions, free_bit, term::PARTS_OF_N},
     effect::OnBoard,
-    file::{ElongationSource, Machine},
-    inputs::{Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind},
+    file::{ElongationSource, Machine, TOOL_COLUMN, Tools},
+    inputs::{
+        ConditionInput, Inputs, LAST_CHANNEL, SensorInput, TemperatureInput, TemperatureKind,
+    },
     model::{Situation, Values},
     stored::{NM_PER_UM, UNITS_PER_MM},
 };
@@ -28,6 +31,8 @@ pub(super) struct Bridge {
     pub(super) input: Option<SensorInput>,
     /// The temperature column of each channel.
     channels: [Option<String>; CHANNELS],
+    /// The column of each condition, with its bit.
+    conditions: Vec<(String, u8)>,
     pub(super) compiled: Compiled,
 }
 
@@ -49,7 +54,9 @@ impl Bridge {
                 *channel = Some(name.clone());
             }
         }
-        Ok(Self { input, channels, compiled })
+        let conditions = wired.inputs.iter().flat_map(|inputs| &inputs.conditions);
+        let conditions = conditions.map(|(name, it)| (name.clone(), it.bit)).collect();
+        Ok(Self { input, channels, conditions, compiled })
     }
 }
 
@@ -62,7 +69,15 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
     let of_terms = machine.terms.iter().filter_map(|term| term.effect.temperature());
     let used: Vec<String> =
         axes.map(|thermal| &thermal.sensor).chain(spindle).cloned().chain(of_terms).collect();
+    let of_conditions = conditions(&wired);
     let inputs = wired.inputs.get_or_insert_with(Inputs::default);
+    for name in of_conditions {
+        if !inputs.conditions.contains_key(&name)
+            && let Some(bit) = free_bit(inputs)
+        {
+            inputs.conditions.insert(name, ConditionInput { bit, default: false });
+        }
+    }
     for name in used {
         let taken = |channel: &u8| inputs.temperatures.values().any(|it| it.channel == *channel);
         if !inputs.temperatures.contains_key(&name)
@@ -83,6 +98,8 @@ pub(super) struct BridgeRun<'b> {
     /// In the order of `head_axes`, each the place of its angle among A, B and C.
     head_axes: Vec<usize>,
     rated: Rpm,
+    /// The labels of tools as a run has them, with their numbers.
+    codes: Vec<(f64, u16)>,
     /// When each of the terms over time starts, in the run's time.
     starts_s: Vec<f64>,
     heat: Heat,
@@ -99,6 +116,7 @@ impl<'b> BridgeRun<'b> {
             calibration: bridge.compiled.calibration(),
             head_axes: machine.head_axes.iter().map(|axis| axis.index()).collect(),
             rated: rpm(rated.unwrap_or(1.0)),
+            codes: machine.spindle.tools.iter().flat_map(Tools::codes).collect(),
             starts_s: machine
                 .terms
                 .iter()
@@ -115,7 +133,9 @@ impl<'b> BridgeRun<'b> {
     }
 
     pub(super) fn step(&mut self, situation: &Situation<'_>) -> Values {
+        self.take_conditions(situation);
         self.heat_up(situation);
+        self.take_conditions(situation);
         let calibration = &self.calibration;
         let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
         let by_sensor = calibration.spindle.sensor.elongation(reading.unwrap_or_default());
@@ -146,6 +166,19 @@ impl<'b> BridgeRun<'b> {
         let (error, _) = tip::error_at_tip(elongation, direction, axes, UNLIMITED);
         let um = |length: Nanometres| f64::from(length.0) / NM_PER_UM;
         Values { elongation_um: um(elongation), error_um: error.map(|error| um(error.rounded())) }
+    }
+
+    /// Takes tool, conditions and speed of the row. One that is missing counts as off; what depends on it is not shown.
+    fn take_conditions(&mut self, situation: &Situation<'_>) {
+        let holds = |(name, _): &&(String, u8)| situation.other(name) == 1.0;
+        let on = self.bridge.conditions.iter().filter(holds);
+        let bits = on.fold(0, |bits, (_, bit)| bits | 1_u16.wrapping_shl((*bit).into()));
+        let value = situation.other(TOOL_COLUMN);
+        let of_label = self.codes.iter().find(|(code, _)| *code == value).map(|(_, it)| *it);
+        // A cast from f64 saturates: a label that is not known is tool 0.
+        let tool = of_label.unwrap_or(value as u16);
+        self.heat.select(&self.calibration, Some(Conditions { tool, bits }));
+        self.heat.turn(situation.spindle_rpm.map_or(self.rated, rpm));
     }
 
     /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves
@@ -192,6 +225,7 @@ impl<'b> BridgeRun<'b> {
             term::Effect::SpeedHeat { smoothing: SmoothingFactor::NO_LAG, .. } => {
                 Some(SmoothingFactor::NO_LAG)
             }
+            term::Effect::Condition(it) => Some(it.smoothing),
             _ => None,
         });
         let factors = (0..).zip(axes.chain([spindle])).chain((FIRST_TERM..).zip(terms));

@@ -2,7 +2,7 @@
 
 use crate::{
     effect::Input,
-    file::{LinearAxis, Machine, RotaryAxis, is_temperature_column},
+    file::{LinearAxis, Machine, RotaryAxis, TOOL_COLUMN, is_temperature_column},
     model::Situation,
     run_file::RunFile,
 };
@@ -30,12 +30,14 @@ impl<'a> Columns<'a> {
             |name: fn(&str) -> String| LinearAxis::ALL.map(|axis| run.column(&name(axis.name())));
         let temperatures =
             run.columns().iter().filter(|column| is_temperature_column(&column.name));
+        let by_tool = machine.spindle.tools.as_ref().map(|_| TOOL_COLUMN);
         let reads = machine.terms.iter().flat_map(|term| term.effect.reads());
         let names: Vec<&str> = reads
             .filter_map(|input| match input {
-                Input::Column(column) => Some(column),
+                Input::Column(column) | Input::Switch { column, .. } => Some(column),
                 _ => None,
             })
+            .chain(by_tool)
             .collect();
         let others = run.columns().iter().filter(|column| names.contains(&column.name.as_str()));
         Self {

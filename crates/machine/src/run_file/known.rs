@@ -32,6 +32,12 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
          as well as late",
     ),
     known("run", "", "number of the repeat"),
+    known(
+        "tool",
+        "",
+        "the tool in the spindle: the number that the CNC sends, 0 for none, or a label that has its number in \
+         `[spindle.tools]`",
+    ),
     known("sensor_counts", "counts", "the spindle's displacement sensor"),
     known("spindle_rpm", "r/min", "speed; without it the spindle counts as running"),
     known("load_n", "N", "axial cutting force; pushing the tool back is positive"),

@@ -11,7 +11,7 @@ use super::{
     clock,
     faults::Faults,
     fields::{BadQuote, Fields, separator_line, separator_of},
-    known,
+    known, label,
     line::{Line, Lines, Unread},
     meant,
     order::TimeOrder,
@@ -28,6 +28,7 @@ pub(super) struct Reading<'p> {
     header_line: usize,
     columns: Vec<Filling>,
     slips: Vec<Slip>,
+    labels: Vec<(f64, String)>,
     line_of_row: Vec<u32>,
     cells: Cells,
     order: TimeOrder,
@@ -44,6 +45,7 @@ struct Filling {
     name: String,
     is_diameter: bool,
     is_direction: bool,
+    has_labels: bool,
     values: Vec<f64>,
     starts: Places,
 }
@@ -150,6 +152,7 @@ impl<'p> Reading<'p> {
                 name: axis.to_string(),
                 is_diameter,
                 is_direction: matches!(name, "dir_x" | "dir_y" | "dir_z"),
+                has_labels: label::has_labels(name),
                 values: Vec::new(),
                 starts: Places::new(),
             });
@@ -164,6 +167,7 @@ impl<'p> Reading<'p> {
             row: Vec::with_capacity(columns.len()),
             columns,
             slips,
+            labels: Vec::new(),
             line_of_row: Vec::new(),
             faults,
         })
@@ -208,7 +212,7 @@ impl<'p> Reading<'p> {
     fn row(&mut self, line: &Line, plain: Option<Vec<(f64, usize)>>) {
         let faults_before = self.faults.count();
         self.row = plain.unwrap_or_default();
-        if self.row.is_empty() || !self.cells.take_numbers(&self.row) || self.has_bad_direction() {
+        if self.row.is_empty() || !self.cells.take_numbers(&self.row) || self.has_bad_cell() {
             self.row.clear();
             self.read_fields(line);
         }
@@ -245,7 +249,16 @@ impl<'p> Reading<'p> {
                 self.row.clear();
                 return self.faults.note(self.too_many(line, field.column));
             };
-            let read = self.cells.read(there, &column.name, field.text.trim());
+            let cell = field.text.trim();
+            let read = self.cells.read(there, &column.name, cell);
+            let read = if column.has_labels { label::read(cell, read) } else { read };
+            if let Ok(code) = read
+                && code < 0.0
+                && column.has_labels
+                && self.labels.iter().all(|(known, _)| *known != code)
+            {
+                self.labels.push((code, cell.into()));
+            }
             let read = read.and_then(|value| match column.is_direction {
                 true => check_direction(value),
                 false => Ok(value),
@@ -270,9 +283,12 @@ impl<'p> Reading<'p> {
         }
     }
 
-    fn has_bad_direction(&self) -> bool {
+    fn has_bad_cell(&self) -> bool {
         let mut fields = self.columns.iter().zip(&self.row);
-        fields.any(|(column, (value, _))| column.is_direction && check_direction(*value).is_err())
+        fields.any(|(column, (value, _))| {
+            column.is_direction && check_direction(*value).is_err()
+                || column.has_labels && label::read("", Ok(*value)).is_err()
+        })
     }
 
     fn too_many(&self, line: &Line, column: usize) -> BadInput {
@@ -336,6 +352,7 @@ impl<'p> Reading<'p> {
             header_line: self.header_line,
             line_of_row: self.line_of_row,
             slips: self.slips,
+            labels: self.labels,
         };
         name_clock(&mut table, &self.cells);
         Ok(table)

@@ -47,4 +47,6 @@ pub(super) struct Table {
     /// The line of each row, from 1: empty lines and comments are no rows.
     pub(super) line_of_row: Vec<u32>,
     pub(super) slips: Vec<Slip>,
+    /// The labels of tools, by the number in whose form each is kept.
+    pub(super) labels: Vec<(f64, String)>,
 }

@@ -45,7 +45,8 @@ impl Node<'_> {
         let sources = Faults::default()
             .with_if(sensor, Fault::Sensor)
             .with_if(flags.contains(Flags::CNC_LOST) && !lost.place, Fault::CncLost)
-            .with_if(lost.place, Fault::PlaceLost);
+            .with_if(lost.place, Fault::PlaceLost)
+            .with_if(lost.conditions, Fault::ConditionsLost);
         let of = |sources: Faults, channels: IndexSet, faults: [Fault; 8]| {
             let numbered = faults.into_iter().enumerate();
             numbered

@@ -3,13 +3,12 @@
 use trueup_core::{
     cnc::LinearAxis,
     curve::Curve,
-    dimensions::CHANNELS,
-    dimensions::MAX_TERMS,
+    dimensions::{CHANNELS, CONDITIONS, MAX_TERMS, MAX_TOOLS},
     fixed::Scaled,
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch::Pitch,
-    term::{Effect, SpeedPower, Target, Term, Tilt},
+    term::{Effect, Factor, OnOff, SpeedPower, Target, Term, Tilt, ToolTable},
     travel::Interval,
     units::{Fine, Position, Temperature},
 };
@@ -153,6 +152,8 @@ effects! {
         smoothing smoothing: SmoothingFactor,
         power power: SpeedPower
     }
+    16 Tool { 0 tools: ToolTable<'b> }
+    17 Condition { 0 condition: OnOff }
 }
 
 /// A coefficient of a term: its binary places stand in the head.
@@ -259,6 +260,79 @@ impl<'b> Field<'b> for Tilt<Curve<'b>> {
             curve
         })
     }
+}
+
+/// The level of other tools, the table, and what they are multiplied by; the binary places stand in the head.
+impl<'b> Field<'b> for ToolTable<'b> {
+    const SIZE: usize = 12;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.term_byte(SHIFT, self.shift);
+        self.other.put(to);
+        to.table(self.levels);
+        u32::from(self.times as u8).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        let (other, offset) = (i32::get(from), from.at);
+        let levels = from.table();
+        let [times, is_default] = factor(from);
+        let read = Self {
+            levels,
+            other,
+            shift: from.term_byte(SHIFT),
+            times: Factor::from_number(times).unwrap_or_default(),
+        };
+        let is_tool = |(number, _)| number <= u32::from(u16::MAX);
+        let is_rising = read.tools().is_sorted_by(|(a, _), (b, _)| a < b);
+        if levels.len() > MAX_TOOLS || !is_rising || !read.tools().all(is_tool) || is_default != 0 {
+            from.refuse(BlobError::Table { offset });
+        }
+        read
+    }
+}
+
+/// Both levels, the lag, and in a word the factor and the default; bit and binary places stand in the head.
+impl<'b> Field<'b> for OnOff {
+    const SIZE: usize = 16;
+
+    fn put(&self, to: &mut Writer<'_>) {
+        to.term_byte(INPUT, self.bit);
+        to.term_byte(SHIFT, self.shift);
+        self.off.put(to);
+        self.on.put(to);
+        self.smoothing.put(to);
+        u32::from_le_bytes([self.times as u8, self.default.into(), 0, 0]).put(to);
+    }
+
+    fn get(from: &mut Reader<'b>) -> Self {
+        let bit = from.term_byte(INPUT);
+        if bit >= CONDITIONS {
+            from.refuse(BlobError::Value { offset: from.term, found: bit.into() });
+        }
+        let (off, on, smoothing) = (i32::get(from), i32::get(from), SmoothingFactor::get(from));
+        let [times, default] = factor(from);
+        Self {
+            bit,
+            default: default != 0,
+            off,
+            on,
+            shift: from.term_byte(SHIFT),
+            smoothing,
+            times: Factor::from_number(times).unwrap_or_default(),
+        }
+    }
+}
+
+/// The numbers of a factor and of a default, 0 or 1.
+fn factor(from: &mut Reader<'_>) -> [u8; 2] {
+    let offset = from.at;
+    let word = u32::get(from);
+    let [times, default, rest @ ..] = word.to_le_bytes();
+    if Factor::from_number(times).is_none() || default > 1 || rest != [0; 2] {
+        from.refuse(BlobError::Value { offset, found: word });
+    }
+    [times, default]
 }
 
 fn put_axes<A>(tilt: &Tilt<A>, to: &mut Writer<'_>) {

@@ -1,5 +1,7 @@
 //! Blobs written, damaged, and read again.
 
+mod category;
+
 use super::{
     format::{
         CRC_SIZE, FIXED_SIZE, MAX_HOLD_MS, MAX_LINK_TIMEOUT_MS, MAX_REJOIN_NM_PER_S, MAX_SIZE,

@@ -104,6 +104,7 @@ pub const RANGES: &[Range] = &[
     range("spindle.warmup.speed_exponent", "", [0.0, 20.0], [0.0, 4.0], [0.0, 2.0], FORM),
     range("spindle.sensor.k0_um", "µm", [-1e5, 1e5], [-5000.0, 5000.0], [-500.0, 500.0], "the range of a displacement sensor"),
     range("spindle.sensor.*", "", [-1e10, 1e10], [-1e9, 1e9], [-1e5, 1e5], "`check` holds it against [inputs] sensor"),
+    range("spindle.tools.*.number", "", [0.0, 65535.0], [0.0, 65535.0], [1.0, 100.0], SET),
     // the axes
     range("axis.*.thermal.slope_um_per_m_per_c", "µm/(m·K)", [-500.0, 500.0], [0.0, 100.0], [8.0, 25.0], MATERIALS)
         .below(AXIS_SHRINKS).above(EXPANSION),

@@ -10,7 +10,7 @@ use trueup_core::{
     term::{Effect, Target, Term, Tilt, UNIT_STEP},
 };
 
-use super::{LEVER_M, PARTS_OF_N, TWO_24, scaled};
+use super::{LEVER_M, PARTS_OF_N, TWO_24, category, scaled};
 use crate::{
     compile::{curve, inputs::column, lag, pitch, squareness::linear_inverse},
     effect::{self, Angle, CoolingAsymmetry, Heat, OnBoard, Quantity, SpeedHeat, heating},
@@ -107,6 +107,8 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
             spline.control_um.iter_mut().for_each(urad);
             OnBoard::Tilt(tilt(own, it, Angle::Curve(spline)))
         }
+        Effect::Tool(table) => category::tools_inverse(table),
+        Effect::Condition(it) => category::condition_inverse(it),
         Effect::Wave { turns, phase, amplitude } => {
             let period_mm = 2_f64.powi(64) / (*turns as f64 * UNITS_PER_MM);
             OnBoard::Wave {

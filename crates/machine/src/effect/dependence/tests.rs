@@ -12,13 +12,13 @@ fn page(form: Form, times: Times) -> Dependence {
 
 #[test]
 fn a_level_adds_its_own_value_and_an_unseen_one_nothing() {
-    let levels = Form::Level { levels: vec![2.0, 1.0, 3.0], added: vec![0.0, 4.0, -3.0] };
+    let levels = Form::Level { levels: vec![2.0, 1.0, 3.0], added: vec![0.0, 4.0, -3.0], otherwise: 0.0, lag_s: 0.0 };
     let page_of_levels = page(levels, Times::One);
     let at = |level: f64| added(&page_of_levels, &[level]);
     assert_eq!([at(2.0), at(1.0), at(3.0), at(7.0)], [0.0, 4.0, -3.0, 0.0]);
     assert!(at(f64::NAN).is_nan(), "which level it was is not known");
     // 12,000 r/min: 144 · 0.01 µm and 144 · 0.03 µm.
-    let levels = Form::Level { levels: vec![2.0, 1.0], added: vec![0.01, 0.03] };
+    let levels = Form::Level { levels: vec![2.0, 1.0], added: vec![0.01, 0.03], otherwise: 0.0, lag_s: 0.0 };
     let by_speed = page(levels, Times::Speed2);
     assert!((added(&by_speed, &[2.0, 12_000.0]) - 1.44).abs() < 1e-12);
     assert!((added(&by_speed, &[1.0, 12_000.0]) - 4.32).abs() < 1e-12);
@@ -47,7 +47,7 @@ fn a_product_counts_from_the_zero_of_the_second_column() {
     assert_eq!(product.inputs(&[]), [Input::Column("coolant_bar"), Input::Column("flow_l")]);
     // Open: −3 µm/K × 2 K. Closed: nothing.
     let room = Times::Column { column: "temp_room_c".into(), reference: 20.0 };
-    let open = Form::Level { levels: vec![0.0, 1.0], added: vec![0.0, -3.0] };
+    let open = Form::Level { levels: vec![0.0, 1.0], added: vec![0.0, -3.0], otherwise: 0.0, lag_s: 0.0 };
     let by_door = page(open, room);
     assert_eq!([added(&by_door, &[0.0, 22.0]), added(&by_door, &[1.0, 22.0])], [0.0, -6.0]);
     let inputs = by_door.inputs(&[]);

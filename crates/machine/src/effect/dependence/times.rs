@@ -1,29 +1,12 @@
 //! What a dependence on a column is multiplied by.
 
-use crate::{effect::page::Input, file::is_temperature_column};
+use crate::{
+    effect::{forms::Times, page::Input},
+    file::is_temperature_column,
+};
 
 /// The column of the cutting force.
 pub(super) const LOAD: &str = "load_n";
-
-/// The factor f.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Times {
-    /// 1.
-    One,
-    /// (n/1000)², n the speed of the spindle in r/min.
-    Speed2,
-    /// The growth by the sensor's own law.
-    Growth,
-    /// P/1000, P the position of the own axis in mm.
-    Position,
-    /// y − y₀.
-    Column {
-        /// The second column.
-        column: String,
-        /// y₀, in its unit.
-        reference: f64,
-    },
-}
 
 impl Times {
     pub(super) const ALL: [(&'static str, Self); 3] =

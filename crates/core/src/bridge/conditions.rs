@@ -1,0 +1,63 @@
+//! The tool and the conditions that the CNC sends: known, awaited, lost.
+//!
+//! ```text
+//! start ─► awaited ──────────┐ nothing for 4 × the link timeout
+//!             │ a message    ▼
+//!             ├───────► lost: held for `hold_ms`, if the offset was live ─► by the defaults
+//!             ▼              ▲                                                  │ a message
+//!           known ───────────┘ nothing for 4 × the link timeout                 │
+//!             ▲─────────────────────────────────────────────────────────────────┘
+//! ```
+//!
+//! They come rarely, so they may be four times as old as `Control`. What changes goes through the slew limit.
+
+use super::{Bridge, State, state::HeardConditions};
+use crate::cnc::Conditions;
+
+/// They may be so many times as old as the CNC's sign of life.
+pub const CONDITIONS_TIMEOUTS: u32 = 4;
+
+impl Bridge<'_> {
+    /// Takes a message.
+    pub(super) fn hear_conditions(&self, state: &mut State, conditions: Conditions) {
+        if !self.needs.conditions {
+            return;
+        }
+        let heard = &mut state.conditions;
+        let is_new = heard.by_default || heard.last != Some(conditions);
+        *heard = HeardConditions { last: Some(conditions), age_ms: 0, by_default: false };
+        if is_new {
+            self.select_category(state, Some(conditions));
+        }
+    }
+
+    /// Returns whether none has come for so long that none is to be expected.
+    pub(super) fn conditions_are_lost(&self, state: &State) -> bool {
+        let longest_ms = self.calibration.limits.link_timeout_ms;
+        state.conditions.age_ms > longest_ms.saturating_mul(CONDITIONS_TIMEOUTS)
+    }
+
+    /// Returns whether the offset can be followed: they are known, or were held long enough and the defaults stand
+    /// in for them.
+    #[inline]
+    pub(super) fn knows_conditions(&self, state: &mut State) -> bool {
+        !self.needs.conditions || self.awaits_no_conditions(state)
+    }
+
+    #[inline(never)]
+    fn awaits_no_conditions(&self, state: &mut State) -> bool {
+        if !self.conditions_are_lost(state) {
+            return state.conditions.last.is_some();
+        }
+        if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
+            state.conditions.by_default = true;
+            self.select_category(state, None);
+        }
+        state.conditions.by_default
+    }
+
+    fn select_category(&self, state: &mut State, conditions: Option<Conditions>) {
+        state.heat.select(&self.calibration, conditions);
+        self.term_warmed(state);
+    }
+}

@@ -1,0 +1,147 @@
+//! Levels against `f64`, over their whole range.
+
+use super::*;
+use crate::{
+    cnc::LinearAxis,
+    place::Place,
+    term::{Effect, OperatingPoint, Target, Term, TermStates, Terms, axis_errors, elongation},
+    testing::random,
+    units::{Fine, Position, Rpm},
+};
+extern crate std;
+
+const TOOLS: [(u32, i32); 3] = [(1, 700_000_000), (7, -41), (65_535, 1 << 29)];
+
+fn levels() -> [[u8; 8]; 3] {
+    TOOLS.map(|(number, level)| {
+        let ([a, b, c, d], [e, f, g, h]) = (number.to_le_bytes(), level.to_le_bytes());
+        [a, b, c, d, e, f, g, h]
+    })
+}
+
+fn of(target: Target, effect: Effect<'_>) -> Terms<'_> {
+    let mut terms = Terms::default();
+    terms[0] = Some(Term { target, constant: Fine::ZERO, effect });
+    terms
+}
+
+fn on_off(times: Factor) -> OnOff {
+    let smoothing = SmoothingFactor::NO_LAG;
+    OnOff { bit: 3, default: false, off: 0, on: 1 << 29, shift: 20, smoothing, times }
+}
+
+#[test]
+fn each_tool_has_its_level_and_every_other_and_none_that_of_the_rest() {
+    let levels = levels();
+    let table = ToolTable { levels: &levels, other: 99, ..ToolTable::default() };
+    for (number, level) in TOOLS.into_iter().chain([(0, 99), (2, 99), (65_534, 99)]) {
+        let tool = u16::try_from(number).expect("a tool");
+        assert_eq!(table.level(Some(Conditions { tool, bits: u16::MAX })), level, "{number}");
+    }
+    assert_eq!(table.level(None), 99, "the CNC does not say");
+}
+
+#[test]
+fn a_condition_is_its_own_bit_and_its_default_where_the_cnc_does_not_say() {
+    for bit in 0..16 {
+        let it = OnOff { bit, ..on_off(Factor::One) };
+        let is_on = |bits| it.input(Some(Conditions { tool: 7, bits })) == UNIT_STEP;
+        assert!(is_on(1 << bit) && !is_on(!(1 << bit)), "{bit}");
+        assert!(it.input(None) == 0 && OnOff { default: true, ..it }.input(None) == UNIT_STEP);
+    }
+}
+
+/// The bound of the page: half of a place of m times f, and half of 1/256 nm.
+#[test]
+fn levels_times_any_factor_are_right_to_the_bound_of_the_page() {
+    let mut seed = 5;
+    let mut worst: f64 = 0.0;
+    for _ in 0..100_000 {
+        let shift = u8::try_from(random(&mut seed) % 63).expect("below 63");
+        let exact = (f64::from(random(&mut seed)) / 2_f64.powi(31) - 1.0) * 2_f64.powi(30);
+        let level = exact.round() as i32;
+        let x = match random(&mut seed) % 3 {
+            0 => 1,
+            1 => squared(random(&mut seed) as u16),
+            _ => i64::from(random(&mut seed) as i32),
+        };
+        let place = 2_f64.powi(-i32::from(shift)) * x.abs() as f64;
+        let wanted = exact * 2_f64.powi(-i32::from(shift)) * x as f64;
+        if wanted.abs() < 2e9 {
+            let off = (f64::from(times(level, shift, x)) - wanted).abs();
+            worst = worst.max(off / (0.5 * place + 0.5));
+        }
+    }
+    std::println!("largest error: {worst:.4} of the bound");
+    assert!(worst > 0.9 && worst <= 1.0 + 1e-6, "{worst}");
+}
+
+#[test]
+fn on_its_way_a_level_is_right_to_a_place_and_ends_exactly() {
+    let mut seed = 9;
+    for _ in 0..10_000 {
+        let any = |seed: &mut u64| (random(seed) as i32) >> 1;
+        let it = OnOff { off: any(&mut seed), on: any(&mut seed), ..on_off(Factor::One) };
+        assert_eq!([it.level(0), it.level(UNIT_STEP)], [it.off, it.on]);
+        let s = (random(&mut seed) >> 2) as i32;
+        let share = f64::from(s) / f64::from(UNIT_STEP);
+        let wanted = f64::from(it.off) + (f64::from(it.on) - f64::from(it.off)) * share;
+        assert!((f64::from(it.level(s)) - wanted).abs() <= 0.5 + 1e-6, "{it:?} at {s}");
+    }
+}
+
+#[test]
+fn what_a_level_is_multiplied_by() {
+    let operating = OperatingPoint::default();
+    let grown = Fine(10 * 256_000);
+    let mut states = TermStates::default();
+    states.turn(Rpm(20_000));
+    // 2²⁹ in 2⁻²⁰ are 512 units.
+    let mut of_growth = |times| {
+        let terms = of(Target::Elongation, Effect::Condition(on_off(times)));
+        states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+        elongation(&terms, grown, &states, operating).0 - grown.0
+    };
+    assert_eq!(of_growth(Factor::One), 512);
+    assert_eq!(of_growth(Factor::Growth), 512 * grown.0);
+    let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(on_off(Factor::Position)));
+    let mut place = Place::default();
+    place.position[1] = Position(-1_000);
+    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine(-512_000));
+    states.select(&terms, Some(Conditions { tool: 0, bits: !(1 << 3) }));
+    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine::ZERO);
+    // 20 000² · 512/2³⁰ units of an axis by its speed.
+    let by_speed = OnOff { shift: 50, ..on_off(Factor::Speed2) };
+    let terms = of(Target::Axis(LinearAxis::Y), Effect::Condition(by_speed));
+    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    assert_eq!(axis_errors(&terms, &states, &place).0[1], Fine(191));
+}
+
+#[test]
+fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
+    let lagged = OnOff { smoothing: SmoothingFactor(1 << 30), ..on_off(Factor::One) };
+    let terms = of(Target::Elongation, Effect::Condition(lagged));
+    let mut states = TermStates::default();
+    let added =
+        |states: &TermStates| elongation(&terms, Fine::ZERO, states, OperatingPoint::default()).0;
+    let step = |states: &mut TermStates| states.step(&terms, 0, &[None; 8], None, true);
+    step(&mut states);
+    assert_eq!(added(&states), 0, "nothing is known yet");
+    states.select(&terms, Some(Conditions { tool: 0, bits: 1 << 3 }));
+    step(&mut states);
+    assert_eq!(added(&states), 512, "it was on at the first step");
+    states.select(&terms, Some(Conditions::default()));
+    for wanted in [384, 288, 216, 162] {
+        step(&mut states);
+        assert_eq!(added(&states), wanted, "a quarter less in each step");
+    }
+    let mut memory = crate::heat_memory::HeatMemory::default();
+    states.keep(&terms, &mut memory);
+    let mut resumed = TermStates::default();
+    resumed.resume(&terms, |key| memory.find(key));
+    resumed.select(&terms, Some(Conditions::default()));
+    step(&mut resumed);
+    step(&mut states);
+    assert_eq!(added(&resumed), added(&states), "a reset changes nothing");
+}

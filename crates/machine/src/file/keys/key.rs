@@ -1,0 +1,95 @@
+//! What a key of the machine file is, and how one is declared.
+
+/// A key of a section.
+#[derive(Clone, Copy, Debug)]
+pub struct Key {
+    /// Its name; `<name>` stands for any word.
+    pub name: &'static str,
+    /// What may stand there.
+    pub form: Form,
+    /// Whether it must.
+    pub need: Need,
+    /// Its unit; empty where there is none.
+    pub unit: &'static str,
+    /// What it is, a sentence without its full stop.
+    pub meaning: &'static str,
+    /// A value, as TOML; empty for a section.
+    pub example: &'static str,
+}
+
+/// What may stand at a key.
+#[derive(Clone, Copy, Debug)]
+pub enum Form {
+    /// Any string.
+    Text,
+    /// `true` or `false`.
+    Boolean,
+    /// One of these strings.
+    Choice(&'static [&'static str]),
+    /// The name of a temperature column, `temp_<name>_c`.
+    Column,
+    /// Any finite number.
+    Number,
+    /// A number above 0.
+    Positive,
+    /// A number of 0 or above.
+    NotNegative,
+    /// A whole number from the first to the second.
+    Whole(u32, u32),
+    /// Numbers, 1 to 4096.
+    Numbers,
+    /// A number, or several.
+    NumberOrNumbers,
+    /// Three numbers.
+    Vector,
+    /// Rows of three numbers, 1 to 4096.
+    Rows,
+    /// Strings of these.
+    Choices(&'static [&'static str]),
+    /// A table with these keys.
+    Table(&'static [Key]),
+    /// Any number of tables with the keys of their cause.
+    Terms,
+}
+
+/// Whether a key must be there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// It must.
+    Required,
+    /// Without it there is none.
+    Optional,
+    /// Without it it is this, as TOML.
+    Default(&'static str),
+}
+
+pub(super) const fn key(
+    name: &'static str,
+    form: Form,
+    unit: &'static str,
+    meaning: &'static str,
+) -> Key {
+    Key { name, form, need: Need::Optional, unit, meaning, example: "" }
+}
+
+pub(super) const fn section(
+    name: &'static str,
+    keys: &'static [Key],
+    meaning: &'static str,
+) -> Key {
+    key(name, Form::Table(keys), "", meaning)
+}
+
+impl Key {
+    pub(super) const fn required(self) -> Self {
+        Self { need: Need::Required, ..self }
+    }
+
+    pub(super) const fn or(self, default: &'static str) -> Self {
+        Self { need: Need::Default(default), example: default, ..self }
+    }
+
+    pub(super) const fn as_in(self, example: &'static str) -> Self {
+        Self { example, ..self }
+    }
+}

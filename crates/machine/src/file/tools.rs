@@ -1,0 +1,132 @@
+//! `[spindle.tools]`: how each tool grows with speed, and which number of the CNC is which tool.
+//!
+//! A key is the number that the CNC sends, or a label of the run file's column `tool` with its `number`. What is
+//! added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
+
+use super::{
+    read::Section,
+    write::section::{NewSection, Value},
+};
+use crate::{
+    location::{BadInput, shortened},
+    tool::label_code,
+};
+
+/// The key of every tool that is not in the list.
+const DEFAULT: &str = "default";
+
+/// The tools of a spindle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tools {
+    /// The growth of a tool that is not in the list, in µm for (1000 r/min)².
+    pub default_um_per_krpm2: f64,
+    /// In the order of their numbers, those without one last; at most 32.
+    pub tools: Vec<Tool>,
+}
+
+/// One of them; it has a number, a label, or both.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tool {
+    /// What the CNC sends.
+    pub number: Option<u16>,
+    /// What the column `tool` of a run calls it.
+    pub label: Option<String>,
+    /// In µm for (1000 r/min)².
+    pub um_per_krpm2: f64,
+}
+
+impl Tool {
+    /// Returns its key in the file.
+    #[must_use]
+    pub fn key(&self) -> String {
+        self.number.map_or_else(|| self.label.clone().unwrap_or_default(), |it| it.to_string())
+    }
+}
+
+impl Tools {
+    /// Returns the number of the tool with this label.
+    #[must_use]
+    pub fn number(&self, label: &str) -> Option<u16> {
+        self.tools.iter().find(|tool| tool.label.as_deref() == Some(label))?.number
+    }
+
+    /// Returns what each label that has a number is in a run, with that number.
+    pub fn codes(&self) -> impl Iterator<Item = (f64, u16)> {
+        let code = |tool: &Tool| Some((label_code(tool.label.as_deref()?), tool.number?));
+        self.tools.iter().filter_map(code)
+    }
+
+    /// Returns the first label that has no number.
+    #[must_use]
+    pub fn without_number(&self) -> Option<&str> {
+        self.tools.iter().find(|tool| tool.number.is_none())?.label.as_deref()
+    }
+}
+
+pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
+    let growth = |of: &Section<'_>| of.required("um_per_krpm2", of.number("um_per_krpm2")?);
+    let default = section.required(DEFAULT, section.section(DEFAULT)?)?;
+    let mut tools: Vec<Tool> = Vec::new();
+    for key in section.keys().into_iter().filter(|key| *key != DEFAULT) {
+        let Some(of) = section.section(key)? else { continue };
+        let stated = of.whole("number", 0, u16::MAX.into())?;
+        let stated = stated.map(|it| u16::try_from(it).expect("held to the range of u16 above"));
+        let label = of.text("label")?;
+        let (number, label) = match key.parse::<f64>() {
+            Err(_) if label.is_some() => {
+                return Err(
+                    of.bad("label", "belongs to a key that is a number: this key is the label")
+                );
+            }
+            Err(_) => (stated, Some(key)),
+            Ok(_) if stated.is_some() => {
+                return Err(
+                    of.bad("number", "belongs to a key that is a label: this key is the number")
+                );
+            }
+            Ok(_) => {
+                let number = key.parse().map_err(|_| {
+                    let rule = "is no number of a tool: it must be a whole number from 0 to 65535, or a label";
+                    section.bad(key, rule)
+                })?;
+                (Some(number), label)
+            }
+        };
+        let label = label.map(str::trim).map(String::from);
+        if label.as_deref().is_some_and(|label| label.is_empty() || label.parse::<f64>().is_ok()) {
+            return Err(of.bad("label", "must be a word, not empty and no number"));
+        }
+        let is_same = |tool: &&Tool| {
+            number.is_some() && tool.number == number || label.is_some() && tool.label == label
+        };
+        if let Some(other) = tools.iter().find(is_same) {
+            let rule = format!("is the tool of {} as well", shortened(&other.key()));
+            return Err(section.bad(key, rule));
+        }
+        tools.push(Tool { number, label, um_per_krpm2: growth(&of)? });
+    }
+    let most = trueup_core::dimensions::MAX_TOOLS;
+    if tools.len() > most {
+        let last = tools[most].key();
+        let rule = format!(
+            "is too much: a board knows {most} tools; leave those to `default` that grow like it"
+        );
+        return Err(section.bad(&last, rule));
+    }
+    tools.sort_by_key(|tool| tool.number.map_or(u32::MAX, u32::from));
+    Ok(Tools { default_um_per_krpm2: growth(&default)?, tools })
+}
+
+pub(super) fn write(tools: &Tools) -> NewSection {
+    let growth = |um: f64| ("um_per_krpm2".to_string(), Value::Number(um));
+    let section = NewSection::new("spindle.tools");
+    let section = tools.tools.iter().fold(section, |section, tool| {
+        let mut entries = Vec::new();
+        if let (Some(_), Some(label)) = (tool.number, &tool.label) {
+            entries.push(("label".to_string(), Value::Text(label.clone())));
+        }
+        entries.push(growth(tool.um_per_krpm2));
+        section.with(tool.key(), Value::Inline(entries))
+    });
+    section.with(DEFAULT, Value::Inline(vec![growth(tools.default_um_per_krpm2)]))
+}
