@@ -18,7 +18,7 @@ use crate::{
     Progress, bench,
     boards::{Boards, Started},
     hidden::{Hidden, causes},
-    play::{Pace, Played, play},
+    play::{Pace, Played, SWEPT_C_PER_S, fastest_c_per_s, play},
     table::with_columns,
 };
 
@@ -104,7 +104,11 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     let (source, _) = bench::connected(&plant.machine, &first)?;
     let mut notes = Vec::new();
     let times = first.require("time_s")?;
-    let faster = ((times[times.len() - 1] - times[0]) / SHIFT_S).ceil().max(1.0);
+    let shift = ((times[times.len() - 1] - times[0]) / SHIFT_S).ceil();
+    let second = hidden.record(1, false)?;
+    // Not so fast that a board would doubt its thermometers.
+    let rate = fastest_c_per_s(&first)?.max(fastest_c_per_s(&second)?);
+    let faster = shift.min((SWEPT_C_PER_S / rate).floor()).max(1.0);
     let day = Day { boards, quantity, faster };
 
     let believed = bench::machine(&source, faster)?;
@@ -136,7 +140,6 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
         }
     };
 
-    let second = hidden.record(1, false)?;
     let truth = hidden.record(1, true)?;
     progress("another day as it was", 0.5);
     let before = boards.run(&believed_blob, |bridge| {

@@ -5,7 +5,9 @@
 
 use anyhow::{Context as _, Result, bail};
 use trueup_core::{
+    channels::RawTemperatures,
     cnc::{Control, Output, Quality, Spindle},
+    thermometer::Raw,
     units::Rpm,
 };
 use trueup_emulator::{
@@ -15,7 +17,10 @@ use trueup_emulator::{
     stand_in::{ReceivedFrames, StandIn},
 };
 use trueup_link::{frames, receiver::OffsetReceiver};
-use trueup_machine::{Machine, RunFile, file::Quantity};
+use trueup_machine::{
+    Machine, RunFile,
+    file::{Quantity, is_temperature_column},
+};
 use trueup_pipe::Block;
 
 use crate::boards::Bridge;
@@ -30,6 +35,8 @@ const ENGAGES_AT_MS: u32 = 200;
 const BEGINS_AT_MS: u32 = 500;
 /// The last offsets of a row are averaged, but not over more than this.
 const MEAN_MS: u32 = 100;
+/// Temperatures go from row to row nearly as fast as a board believes: 600 K/min.
+pub const SWEPT_C_PER_S: f64 = 9.0;
 /// Run-out of ±5 µm with 20 % second and 10 % third harmonic.
 const RUN_OUT_UM: [f64; 3] = [5.0, 1.0, 0.5];
 
@@ -124,7 +131,7 @@ pub fn play(
     };
     let mut first = replay.at(0.0);
     first.speed = Some(Rpm(0));
-    cnc.hold(bridge, &first, 0.0, BEGINS_AT_MS)?;
+    cnc.hold(bridge, &first, 0.0, BEGINS_AT_MS, &|_| first.temperatures)?;
     let mut played = Played {
         offset_um: vec![None; run.rows()],
         quality: vec![Quality::Off as u8; run.rows()],
@@ -132,11 +139,17 @@ pub fn play(
     };
     let mut passed_s = 0.0;
     let mut done_ms = 0;
+    let changes_c = changes_c(run);
+    let mut before = None;
     for row in (0..run.rows()).filter(|row| is_wanted(*row)) {
         // Rounded as a sum, so that no time is lost.
         passed_s += pace.hold_s[row];
         let until_ms = (passed_s * 1000.0).round() as u32;
-        let mean = cnc.hold(bridge, &replay.at(row as f64), load_n(row), until_ms - done_ms)?;
+        let now = replay.at(row as f64);
+        let from = before.replace(now.temperatures).unwrap_or(now.temperatures);
+        let swept_ms = 1000.0 * changes_c.get(row).map_or(0.0, |c| c / SWEPT_C_PER_S);
+        let swept = |ms: f64| between(from, now.temperatures, ms / swept_ms.max(1.0));
+        let mean = cnc.hold(bridge, &now, load_n(row), until_ms - done_ms, &swept)?;
         done_ms = until_ms;
         if let Some((offset_um, quality)) = mean {
             played.quality[row] = quality as u8;
@@ -196,20 +209,22 @@ impl Player {
         }
     }
 
-    /// Holds a situation for so long; the mean of the last offsets in µm, and their worst quality. None
-    /// where nothing was sent.
+    /// Holds a situation for a time, of which each millisecond has its own temperatures. Returns the mean of the last
+    /// offsets in µm and their worst quality; none where nothing was sent.
     fn hold(
         &mut self,
         bridge: &mut dyn Bridge,
         now: &Situation,
         load_n: f64,
         ms: u32,
+        temperatures: &dyn Fn(f64) -> RawTemperatures,
     ) -> Result<Option<(Option<[f64; 3]>, Quality)>> {
         let mean_from = ms - (ms / 5).clamp(1.min(ms), MEAN_MS);
         let (mut outputs, mut passed) = (Vec::new(), 0);
         while passed < ms {
             let batch = (ms - passed).min(LARGEST_BATCH);
-            let blocks: Vec<Block> = (0..batch).map(|_| self.block(now, load_n)).collect();
+            let at = |ms| Situation { temperatures: temperatures(f64::from(passed + ms)), ..*now };
+            let blocks: Vec<Block> = (0..batch).map(|ms| self.block(&at(ms + 1), load_n)).collect();
             for frame in bridge.step(&blocks)? {
                 if let Some(output) = self.offsets.accept(&frame).ok().flatten() {
                     self.last = output;
@@ -252,6 +267,38 @@ impl Player {
             if self.has_sensor { self.front_end.block(volts) } else { Block::default().codes };
         Block { codes, speed: None, temperatures: now.temperatures, frames, ..Block::default() }
     }
+}
+
+/// Returns the largest change of a temperature to each row, in K; 0 to the first.
+fn changes_c(run: &RunFile) -> Vec<f64> {
+    let mut changes = vec![0.0_f64; run.rows()];
+    for column in run.columns().iter().filter(|column| is_temperature_column(&column.name)) {
+        for (change, pair) in changes[1..].iter_mut().zip(column.values.windows(2)) {
+            *change = change.max((pair[1] - pair[0]).abs());
+        }
+    }
+    changes
+}
+
+/// Returns the largest rate of a temperature in a run with time, in K/s.
+///
+/// # Errors
+/// There is no time.
+pub fn fastest_c_per_s(run: &RunFile) -> Result<f64> {
+    let times = run.require("time_s")?;
+    let changes = changes_c(run);
+    let rates = times.windows(2).zip(&changes[1..]).map(|(pair, c)| c / (pair[1] - pair[0]));
+    Ok(rates.filter(|rate| rate.is_finite()).fold(0.0, f64::max))
+}
+
+/// Returns temperatures on the way from one row to the next: a mass does not jump, and a board doubts one that does.
+#[allow(clippy::cast_possible_truncation, reason = "between two integers")]
+fn between(from: RawTemperatures, to: RawTemperatures, share: f64) -> RawTemperatures {
+    let share = share.min(1.0);
+    std::array::from_fn(|channel| {
+        let (Raw(from), Raw(to)) = (from[channel], to[channel]);
+        Raw((f64::from(from) + share * (f64::from(to) - f64::from(from))).round() as i32)
+    })
 }
 
 fn mean(outputs: &[Output]) -> Option<(Option<[f64; 3]>, Quality)> {
