@@ -52,6 +52,7 @@ mod model;
 mod next;
 mod outliers;
 mod parameters;
+mod predict;
 mod repeats;
 mod search;
 mod terms;

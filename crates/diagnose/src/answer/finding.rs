@@ -138,6 +138,8 @@ impl Finding {
     pub(super) fn is_not_written(&mut self, why: &NotWritten) {
         self.compensated = false;
         self.evidence.push(why.sentence());
+        // What foresees less than other terms stands for one of them.
+        self.claimed &= !matches!(why, NotWritten::ForesawLess);
         if why.is_inseparable() {
             self.claimed = false;
             self.next_test = NotWritten::NEXT_TEST.into();

@@ -36,6 +36,7 @@ use crate::{
     fit::{Problem, fit},
     kind::Part,
     model::Model,
+    predict::{Foreseen, later_from},
 };
 
 /// One-sided: the share of days on which the floor is kept.
@@ -54,6 +55,8 @@ pub(super) struct LeftOutParts<'p> {
     pub folds: &'p Folds,
     /// The terms of the board, as they are fitted.
     pub model: &'p Model,
+    /// What was left of parts that took no part in the choice of the terms; none: the values alone are fitted again.
+    pub foreseen: Option<&'p Foreseen>,
     /// Mean square that the groups of the problem average away, in µm².
     pub within: f64,
 }
@@ -77,7 +80,10 @@ impl LeftOutParts<'_> {
     fn figures(&self, again: bool, noise: f64) -> Figures {
         let parts = self.folds.parts();
         let before = self.problem.residual(&Model::default());
-        let after = self.folds.left_out_signed(self.problem, self.model, as_run);
+        let after = match self.foreseen {
+            Some(foreseen) => foreseen.left.clone(),
+            None => self.folds.left_out_signed(self.problem, self.model, as_run),
+        };
         let within =
             if again { (1.0 + 1.0 / ZERO_READINGS as f64) * self.within } else { self.within };
         let sums = |um: [Vec<f64>; 2], parts: &[usize]| {
@@ -100,8 +106,12 @@ impl LeftOutParts<'_> {
         if self.model.parts.is_empty() {
             return Vec::new();
         }
+        if let Some(foreseen) = self.foreseen {
+            let later = foreseen.later.iter().filter(|(first, _)| self.is_within(*first));
+            return later.cloned().collect();
+        }
         let groups = self.problem.groups.len();
-        let splits = [groups / 2, 2 * groups / 3].into_iter();
+        let splits = later_from(groups).into_iter();
         let splits = splits.filter(|first| *first > 0 && self.is_within(*first));
         splits
             .map(|first| {

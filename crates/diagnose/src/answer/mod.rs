@@ -19,6 +19,7 @@ mod not_written;
 mod on_board;
 mod pictures;
 mod power;
+mod predicted;
 mod range;
 mod ranges;
 pub mod report;
@@ -61,6 +62,7 @@ use held_out::LeftOutParts;
 use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::Power;
+use predicted::{Choice, is_settled};
 use report::{After, Before, Finding, LeftOut, Rejected, Report};
 use shortfall::{Promised, Shortfall};
 use transfer::Transfer;
@@ -120,15 +122,28 @@ pub(crate) fn conclude(
     asked: Asked<'_>,
 ) -> Result<Diagnosis, BadInput> {
     let mut model = kept(problem, &found, judged);
+    let mut written = Written::new(problem, &found, judged, &model, asked.runs);
+    let wandering = Wandering::of(problem, &found);
+    let choice = if is_settled(&found, judged, wandering.is_some()) && written.left.is_empty() {
+        Choice::default()
+    } else {
+        written.choose(problem, &found, judged, asked.runs)
+    };
+    if choice.is_predicted {
+        model.parts.retain(|part| !part.kind.is_compensated());
+        model.parts.extend(written.board.parts.iter().cloned());
+        model.constant_um = written.board.constant_um;
+        model.sort();
+    }
     let mut transfer = None;
     if let Some(hold_out) = asked.hold_out {
         hold_out.check(&data, &model)?;
         let on_hold_out = Transfer::new(problem, model, hold_out);
         model = on_hold_out.model.clone();
+        if !on_hold_out.dropped.is_empty() && !choice.is_predicted {
+            written = Written::new(problem, &found, judged, &model, asked.runs);
+        }
         transfer = Some(on_hold_out);
-    }
-    let mut written = Written::new(problem, &found, judged, &model, asked.runs);
-    if let Some(hold_out) = asked.hold_out {
         written.check_on(problem, hold_out);
     }
     // What no machine can do explains nothing either.
@@ -173,7 +188,9 @@ pub(crate) fn conclude(
     let own = written.problem(problem);
     let is_corrected = !compensated.parts.is_empty();
     let folds = Folds::of_promise(own);
-    let parts = LeftOutParts { problem: own, folds: &folds, model: &written.board, within };
+    let foreseen = choice.foreseen.as_ref();
+    let parts =
+        LeftOutParts { problem: own, folds: &folds, model: &written.board, foreseen, within };
     let held_out = is_corrected.then(|| parts.held_out());
     let memory = found.noise.memory * problem.groups.size as f64;
     let shortfall = asked.hold_out.and_then(|hold_out| {
@@ -187,7 +204,8 @@ pub(crate) fn conclude(
         // What only explains is to hold on another day as well.
         on_board.or_else(|| {
             let lasting = lasting(&model);
-            let parts = LeftOutParts { problem, folds: &folds, model: &lasting, within };
+            let parts =
+                LeftOutParts { problem, folds: &folds, model: &lasting, foreseen: None, within };
             let promised = || {
                 let figures = parts.held_out().figures;
                 let most_left_um = MORE_LEFT * figures.after_um;
@@ -206,7 +224,6 @@ pub(crate) fn conclude(
     let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
-    let wandering = Wandering::of(problem, &found);
     let (verdict, reasons) = verdict(&Grounds {
         found: &found,
         judged,
@@ -218,6 +235,8 @@ pub(crate) fn conclude(
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
         shortfall: shortfall.as_ref(),
+        is_predicted: choice.is_predicted,
+        is_withheld: written.left.iter().any(|(_, why)| why.is_inseparable()),
     });
     let (verdict, reasons) = open.judge(verdict, reasons);
     let is_disproved = transfer.as_ref().is_some_and(|it| it.is_disproved);
@@ -241,6 +260,9 @@ pub(crate) fn conclude(
         .collect();
     open.mark(&mut findings);
     findings = merged(judged, findings);
+    if let Some(foreseen) = foreseen.filter(|_| choice.is_predicted) {
+        findings.extend(predicted::findings(problem, &written, foreseen, judged, &found.folds));
+    }
     findings.splice(0..0, open.finding(asked.bridge, &data, &after));
     if has_outliers {
         findings.push(outliers(&data, &after, &aside));

@@ -13,6 +13,8 @@ pub(crate) enum NotWritten {
     LeavesRange { um: f64, range_um: [f64; 2], since_start_s: f64 },
     /// `compile` would refuse the file.
     Refused(String),
+    /// Other terms foresee left-out parts better.
+    ForesawLess,
     /// Alone on the board the terms make the same readings worse, or foresee left-out blocks no better.
     NoGain,
 }
@@ -20,7 +22,7 @@ pub(crate) enum NotWritten {
 impl NotWritten {
     /// Whether the record does not separate the term from what takes it back.
     pub(crate) fn is_inseparable(&self) -> bool {
-        !matches!(self, Self::HeldUp | Self::NoGain)
+        !matches!(self, Self::HeldUp | Self::NoGain | Self::ForesawLess)
     }
 
     /// In a sentence.
@@ -42,6 +44,9 @@ impl NotWritten {
                 since_start_s / 60.0
             ),
             Self::Refused(rule) => format!("It is not written: {rule}."),
+            Self::ForesawLess => {
+                "Other terms foresee left-out parts better and are written in its place: it is not compensated.".into()
+            }
             Self::NoGain => {
                 "Alone on the board these terms gain nothing beyond doubt: it is not compensated."
                     .into()

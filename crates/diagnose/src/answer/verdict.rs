@@ -39,6 +39,8 @@ pub(crate) enum Reason {
     BetweenPoints,
     /// A finding is not claimed.
     Open,
+    /// The terms were chosen for what they foresee.
+    Predicted,
     OnlyNoise,
     /// What is left is as small as what the instrument is worth.
     OfInstrument,
@@ -92,6 +94,9 @@ impl fmt::Display for Reason {
             Self::Open => {
                 f.write_str("two causes cannot be told apart, or a parameter is not yet identified")
             }
+            Self::Predicted => f.write_str(
+                "the written terms were chosen for what they foresee: other names may foresee as well",
+            ),
             Self::OnlyNoise => f.write_str("nothing is left but noise: the model stays"),
             Self::Harm { before_um, after_um } => write!(
                 f,
@@ -151,6 +156,10 @@ pub(super) struct Grounds<'g> {
     pub transfer: Option<&'g Transfer>,
     /// How the hold-out falls short of the promise, if it does.
     pub shortfall: Option<&'g Shortfall>,
+    /// Whether the written terms were chosen for prediction.
+    pub is_predicted: bool,
+    /// Whether a term is not written because the record does not separate it from another one.
+    pub is_withheld: bool,
 }
 
 /// The verdict on an answer, and why.
@@ -192,10 +201,14 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
         }
     }
     reasons.extend(laws.into_iter().cloned().map(Reason::OtherLaw));
-    if judged.is_empty() {
+    if grounds.is_predicted {
+        reasons.push(Reason::Predicted);
+    }
+    if judged.is_empty() && !grounds.is_predicted {
         return of_nothing_found(grounds, reasons);
     }
-    if judged.iter().any(|it| !it.doubts.is_empty() && it.other_law().is_none()) {
+    let is_doubted = |it: &Judgement| !it.doubts.is_empty() && it.other_law().is_none();
+    if grounds.is_withheld || judged.iter().any(is_doubted) {
         reasons.push(Reason::Open);
     }
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {

@@ -23,7 +23,8 @@ use trueup_numerics::{blocks::rms, robust::median};
 use crate::{
     answer::{
         errors::about_zero, hold_out::HoldOut, kept_of, measured::Measured,
-        not_written::NotWritten, transfer::Transfer, unseen::Unseen, without_all,
+        not_written::NotWritten, predicted::is_worse, transfer::Transfer, unseen::Unseen,
+        without_all,
     },
     data::Data,
     fit::{Fitted, Problem, fit},
@@ -34,8 +35,6 @@ use crate::{
     search::{Found, criterion::noise_of, start},
 };
 
-/// The rows that were fitted are never left worse than this times what the machine file as it is leaves.
-const NEVER_WORSE: f64 = 1.01;
 /// Readings farther from the rest, in standard deviations, do not count where a term has left that explained
 /// them.
 const FAR: f64 = 6.0;
@@ -182,23 +181,16 @@ impl Written {
             return;
         }
         let on = self.problem(problem);
-        let left = |model: &Model| {
-            let um = on.residual(model);
-            [rms(&um), rms(&about_zero(&on.data, um))]
-        };
-        let is_worse = |model: &Model| {
-            let [before, after] = [&Model::default(), model].map(left);
-            after.iter().zip(before).any(|(after, before)| *after > NEVER_WORSE * before)
-        };
         let foresees = |model: &Model| {
             let [before, after] = [&start(&on.data), model].map(|it| found.folds.left_out(on, it));
             found.folds.paired(&before, &after).is_better()
         };
         let is_claimed = |it: &Judgement| it.doubts.is_empty() && self.board.has(it.cause());
         let is_certain = judged.iter().any(is_claimed);
-        let again = is_worse(&self.board).then(|| run_by_board(&fit(on, &self.board, None).model));
+        let again =
+            is_worse(on, &self.board).then(|| run_by_board(&fit(on, &self.board, None).model));
         let board = again.as_ref().unwrap_or(&self.board);
-        if is_worse(board) || !is_certain && !foresees(board) {
+        if is_worse(on, board) || !is_certain && !foresees(board) {
             let parts = std::mem::take(&mut self.board).parts;
             self.left.extend(parts.into_iter().map(|part| (part.kind, NotWritten::NoGain)));
         } else if let Some(again) = again {

@@ -1,0 +1,161 @@
+//! Whether the named terms are written, or a correction that was chosen for what it foresees.
+//!
+//! | what is written | where |
+//! |---|---|
+//! | the named terms | all are claimed, and leave only noise |
+//! | the correction of [`crate::predict`] | else, where it foresees left-out parts better than the file as it is, and than the named terms, each by more than a standard error |
+//! | the named terms | else |
+//!
+//! Named terms are only fitted again without a part, so that they seem to foresee more than they do: they stay where
+//! the two are alike. One that is not claimed and settles more slowly than the record shows is no rival.
+
+use trueup_machine::RunFile;
+use trueup_numerics::blocks::rms;
+
+use crate::{
+    answer::{
+        errors::about_zero, measured::Measured, not_written::NotWritten, report::Finding,
+        report::Partner, written::Written,
+    },
+    blocks::Folds,
+    fit::Problem,
+    gain::Gain,
+    judge::Judgement,
+    kind::Kind,
+    model::Model,
+    predict::{Foreseen, prediction},
+    search::{Found, start},
+};
+
+/// The most terms of a board.
+const MOST_TERMS: usize = 16;
+
+/// What became of the choice.
+#[derive(Default)]
+pub(super) struct Choice {
+    /// What the written terms left of parts that took no part in their choice, where that was seen.
+    pub foreseen: Option<Foreseen>,
+    /// Whether they were chosen for prediction.
+    pub is_predicted: bool,
+}
+
+/// Whether the claimed terms are all there is: nothing that is left goes with anything, or wanders.
+pub(super) fn is_settled(found: &Found, judged: &[Judgement], wanders: bool) -> bool {
+    found.lack_of_fit.is_empty() && judged.iter().all(|it| it.doubts.is_empty()) && !wanders
+}
+
+impl Written {
+    /// Writes what foresees left-out parts best; `judged` are the named terms, measured in `runs`.
+    pub(super) fn choose(
+        &mut self,
+        problem: &Problem,
+        found: &Found,
+        judged: &[Judgement],
+        runs: &[RunFile],
+    ) -> Choice {
+        let on = self.problem(problem);
+        let folds = Folds::of_promise(on);
+        let is_better = |before: &[f64], after: &[f64]| {
+            let paired = found.folds.paired(before, after);
+            // Where no cause was found nothing says yet that there is more than noise.
+            if judged.is_empty() { paired.is_certain() } else { paired.is_better() }
+        };
+        let original = found.folds.left_out(on, &start(&on.data));
+        let is_claimed =
+            |kind: &Kind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
+        let is_shown = self.board.parts.iter().all(|part| {
+            let is_slow = part.kind.has_time_constant() && !on.is_short(part.values[0]);
+            !is_slow || is_claimed(&part.kind)
+        });
+        let named = is_shown.then(|| folds.left_out_signed(on, &self.board, Clone::clone));
+        let room = MOST_TERMS.saturating_sub(problem.data.machine.terms.len());
+        let prediction = prediction(on, &folds).filter(|it| {
+            it.model.parts.len() <= room
+                && is_better(&original, &it.foreseen.left)
+                && named.as_ref().is_none_or(|named| is_better(named, &it.foreseen.left))
+                && Measured::new(on, runs).violated(on, &it.model).is_none()
+                && !is_worse(on, &it.model)
+        });
+        if let Some(prediction) = prediction {
+            let named = std::mem::replace(&mut self.board, prediction.model).parts;
+            let others = named.into_iter().filter(|part| !self.board.has(&part.kind));
+            let others: Vec<_> = others.map(|part| (part.kind, NotWritten::ForesawLess)).collect();
+            self.left.extend(others);
+            return Choice { foreseen: Some(prediction.foreseen), is_predicted: true };
+        }
+        Choice::default()
+    }
+}
+
+/// Whether the rows that were fitted are left worse.
+pub(super) fn is_worse(on: &Problem, model: &Model) -> bool {
+    /// They are never left worse than this times what the machine file as it is leaves.
+    const NEVER_WORSE: f64 = 1.01;
+    let left = |model: &Model| {
+        let um = on.residual(model);
+        [rms(&um), rms(&about_zero(&on.data, um))]
+    };
+    let [before, after] = [&Model::default(), model].map(left);
+    after.iter().zip(before).any(|(after, before)| *after > NEVER_WORSE * before)
+}
+
+/// The findings of terms that were chosen for prediction and are not among the named ones.
+pub(super) fn findings(
+    problem: &Problem,
+    written: &Written,
+    foreseen: &Foreseen,
+    judged: &[Judgement],
+    folds: &Folds,
+) -> Vec<Finding> {
+    let on = written.problem(problem);
+    let is_named = |kind: &Kind| judged.iter().any(|it| it.cause() == kind);
+    let original = on.residual(&Model::default());
+    let after = on.residual(&written.board);
+    let gain = Gain::new(
+        [rms(&original), rms(&after)],
+        [&original, &foreseen.left],
+        &folds.reduction(&original, &foreseen.left),
+    );
+    let partners: Vec<(&Kind, Partner)> = written
+        .board
+        .parts
+        .iter()
+        .map(|part| {
+            let estimates = written.estimates(problem, &part.kind);
+            let partner = Partner {
+                cause: part.kind.name().into(),
+                column: part.kind.column(),
+                parameters: estimates.map(|it| it.named).unwrap_or_default(),
+                sentence: part.sentence(),
+            };
+            (&part.kind, partner)
+        })
+        .collect();
+    let new = partners.iter().filter(|(kind, _)| !is_named(kind));
+    new.map(|(kind, own)| {
+        let others = partners.iter().filter(|(there, _)| there != kind);
+        Finding {
+            cause: own.cause.clone(),
+            column: own.column.clone(),
+            form: None,
+            times: None,
+            columns: None,
+            claimed: false,
+            compensated: true,
+            confidence: 0.0,
+            parameters: own.parameters.clone(),
+            gain,
+            sentence: own.sentence.clone(),
+            evidence: vec![
+                own.sentence.clone(),
+                "Chosen for prediction; the name is open: with the other terms it foresees left-out parts, and other \
+                 terms may do so as well."
+                    .into(),
+            ],
+            together_with: others.map(|(_, partner)| partner.clone()).collect(),
+            rivals: Vec::new(),
+            next_test: kind.next_test(None).to_string(),
+        }
+    })
+    .collect()
+}

@@ -1,0 +1,320 @@
+//! The few terms that foresee what the mean of many searches does.
+//!
+//! Candidates are the terms of all subsamples. A set is worth what it leaves of the blocks that each subsample has not
+//! seen, fitted to those that it has; terms are added, and exchanged, as long as that falls, and the smallest set within
+//! one standard error of the best is taken. It is fitted half to what was measured and half to the mean.
+
+use nalgebra::{DMatrix, DVector};
+use trueup_numerics::parallel::on_all_cores;
+
+use crate::predict::dictionary::Dictionary;
+
+/// Most terms: what the board has room for beside those of the file.
+pub(super) const MOST_TERMS: usize = 8;
+/// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
+const RIDGE: f64 = 0.05;
+/// The ridge of a single fit, against columns that are nearly alike.
+const SINGLE: f64 = 1e-3;
+/// An exchange has to gain this share.
+const EXCHANGE: f64 = 1e-3;
+/// Most candidates: those that the most subsamples have.
+const MOST_CANDIDATES: usize = 60;
+/// The weight of the mean against what was measured.
+const MEAN: f64 = 0.5;
+
+/// A fitted set of terms.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Compact {
+    pub terms: Vec<usize>,
+    /// Of each column of each term, in its unit.
+    pub amplitudes: Vec<f64>,
+    pub constant_um: f64,
+}
+
+/// A subsample: the groups in it and outside, and what was found in it.
+pub(super) struct Sample {
+    pub inside: Vec<usize>,
+    pub outside: Vec<usize>,
+    pub fitted: Compact,
+}
+
+impl Compact {
+    /// Returns what it adds to a group.
+    pub(super) fn at(&self, dictionary: &Dictionary, row: usize) -> f64 {
+        let columns = self.terms.iter().flat_map(|&term| dictionary.entries[term].columns.clone());
+        let sum: f64 = columns
+            .zip(&self.amplitudes)
+            .map(|(column, a)| a * dictionary.columns[column][row])
+            .sum();
+        self.constant_um + sum
+    }
+
+    /// Returns what it leaves of these groups.
+    pub(super) fn left(&self, dictionary: &Dictionary, y: &[f64], rows: &[usize]) -> Vec<f64> {
+        rows.iter().map(|&row| y[row] - self.at(dictionary, row)).collect()
+    }
+}
+
+/// Returns the fit of `terms` to these groups.
+pub(super) fn single(
+    dictionary: &Dictionary,
+    y: &[f64],
+    rows: &[usize],
+    terms: &[usize],
+) -> Compact {
+    let target: Vec<f64> = rows.iter().map(|&row| y[row]).collect();
+    ridge(dictionary, &target, rows, terms, SINGLE)
+}
+
+fn ridge(
+    dictionary: &Dictionary,
+    target: &[f64],
+    rows: &[usize],
+    terms: &[usize],
+    ridge: f64,
+) -> Compact {
+    let has_constant = dictionary.has_constant(terms);
+    let columns: Vec<usize> =
+        terms.iter().flat_map(|&term| dictionary.entries[term].columns.clone()).collect();
+    if columns.is_empty() {
+        return Compact::default();
+    }
+    let moments = Moments::new(dictionary, target, rows, &columns, has_constant);
+    let amplitudes = moments.solve(&(0..columns.len()).collect::<Vec<_>>(), ridge);
+    let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
+    let constant_um = if has_constant { moments.mean_y - of_mean } else { 0.0 };
+    Compact { terms: terms.to_vec(), amplitudes: amplitudes.iter().copied().collect(), constant_um }
+}
+
+/// Second moments of columns and of a target over some groups.
+struct Moments {
+    gram: DMatrix<f64>,
+    with_y: DVector<f64>,
+    yy: f64,
+    /// Standard deviations of the columns.
+    size: Vec<f64>,
+    mean: Vec<f64>,
+    mean_y: f64,
+    rows: f64,
+}
+
+impl Moments {
+    fn new(
+        dictionary: &Dictionary,
+        target: &[f64],
+        rows: &[usize],
+        columns: &[usize],
+        is_centred: bool,
+    ) -> Self {
+        let of = |column: usize| rows.iter().map(|&row| dictionary.columns[column][row]).collect();
+        let values: Vec<Vec<f64>> = columns.iter().map(|&column| of(column)).collect();
+        let mean_of = |values: &[f64]| {
+            if is_centred { values.iter().sum::<f64>() / values.len() as f64 } else { 0.0 }
+        };
+        let mean: Vec<f64> = values.iter().map(|values| mean_of(values)).collect();
+        let mean_y = mean_of(target);
+        Self::about(&values, target, &mean, mean_y)
+    }
+
+    fn about(values: &[Vec<f64>], target: &[f64], mean: &[f64], mean_y: f64) -> Self {
+        let rows = target.len();
+        let matrix =
+            DMatrix::from_fn(rows, values.len(), |row, column| values[column][row] - mean[column]);
+        let y = DVector::from_iterator(rows, target.iter().map(|y| y - mean_y));
+        let gram = matrix.tr_mul(&matrix);
+        let size = gram.diagonal().iter().map(|square| (square / rows as f64).sqrt()).collect();
+        Self {
+            with_y: matrix.tr_mul(&y),
+            yy: y.dot(&y),
+            gram,
+            size,
+            mean: mean.to_vec(),
+            mean_y,
+            rows: rows as f64,
+        }
+    }
+
+    /// Returns the amplitudes of these columns, held back by a ridge on columns of unit variance.
+    fn solve(&self, columns: &[usize], ridge: f64) -> DVector<f64> {
+        let penalty =
+            |column: usize| ridge * self.rows * self.size[column].powi(2) + f64::MIN_POSITIVE;
+        let gram = DMatrix::from_fn(columns.len(), columns.len(), |row, column| {
+            let own = if row == column { penalty(columns[row]) } else { 0.0 };
+            self.gram[(columns[row], columns[column])] + own
+        });
+        let with_y = DVector::from_iterator(columns.len(), columns.iter().map(|&n| self.with_y[n]));
+        gram.cholesky().map_or_else(|| DVector::zeros(columns.len()), |it| it.solve(&with_y))
+    }
+
+    /// Returns the squares that amplitudes of these columns leave.
+    fn left(&self, columns: &[usize], amplitudes: &DVector<f64>) -> f64 {
+        let mut left = self.yy;
+        for (n, &column) in columns.iter().enumerate() {
+            left -= 2.0 * amplitudes[n] * self.with_y[column];
+            for (m, &other) in columns.iter().enumerate() {
+                left += amplitudes[n] * amplitudes[m] * self.gram[(column, other)];
+            }
+        }
+        left
+    }
+}
+
+/// What is needed of a subsample to judge a set.
+struct Judge {
+    inside: Moments,
+    outside: Moments,
+}
+
+/// Sets of candidates and what they leave.
+struct Sets<'s> {
+    dictionary: &'s Dictionary,
+    candidates: Vec<usize>,
+    /// Columns of each candidate among those of all candidates.
+    columns: Vec<Vec<usize>>,
+    judges: Vec<Judge>,
+}
+
+impl Sets<'_> {
+    /// Returns what a set leaves of the outside of each subsample.
+    fn left(&self, set: &[usize]) -> Vec<f64> {
+        let columns: Vec<usize> = set.iter().flat_map(|&n| self.columns[n].clone()).collect();
+        let of = |judge: &Judge| {
+            let amplitudes = judge.inside.solve(&columns, RIDGE);
+            judge.outside.left(&columns, &amplitudes)
+        };
+        self.judges.iter().map(of).collect()
+    }
+
+    fn sum(&self, set: &[usize]) -> f64 {
+        self.left(set).iter().sum()
+    }
+
+    /// Returns the candidates that may join a set: one setting of a kind.
+    fn open(&self, set: &[usize]) -> Vec<usize> {
+        let kind = |n: usize| self.dictionary.entries[self.candidates[n]].kind;
+        let is_open = |n: &usize| set.iter().all(|there| kind(*there) != kind(*n));
+        (0..self.candidates.len()).filter(is_open).collect()
+    }
+
+    /// Returns the best set with one candidate more, and what it leaves.
+    fn joined(&self, set: &[usize], is_large: bool) -> Option<(Vec<usize>, f64)> {
+        let with = |n: &usize| {
+            let joined = [set, &[*n]].concat();
+            let sum = self.sum(&joined);
+            (joined, sum)
+        };
+        let all = on_all_cores(&self.open(set), is_large, with);
+        all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Returns the best set of each size, as far as it falls.
+    fn path(&self, is_large: bool) -> Vec<Vec<usize>> {
+        let mut path: Vec<Vec<usize>> = Vec::new();
+        let (mut set, mut least) = (Vec::new(), f64::INFINITY);
+        while path.len() < MOST_TERMS {
+            let Some((joined, sum)) = self.joined(&set, is_large) else { break };
+            let (exchanged, sum) = self.exchanged(joined, sum, is_large);
+            if sum >= least {
+                break;
+            }
+            (set, least) = (exchanged, sum);
+            path.push(set.clone());
+        }
+        path
+    }
+
+    fn exchanged(&self, mut set: Vec<usize>, mut sum: f64, is_large: bool) -> (Vec<usize>, f64) {
+        for number in (0..set.len()).rev().skip(1) {
+            let mut rest = set.clone();
+            rest.remove(number);
+            if let Some((other, less)) = self.joined(&rest, is_large)
+                && less < (1.0 - EXCHANGE) * sum
+            {
+                (set, sum) = (other, less);
+            }
+        }
+        (set, sum)
+    }
+
+    /// Returns the smallest set of a path within one standard error of the best.
+    fn fewest(&self, path: &[Vec<usize>]) -> Vec<usize> {
+        let left: Vec<Vec<f64>> = path.iter().map(|set| self.left(set)).collect();
+        let Some(best) = left.last() else { return Vec::new() };
+        let is_as_good = |left: &Vec<f64>| {
+            let count = left.len() as f64;
+            let apart: Vec<f64> = left.iter().zip(best).map(|(l, b)| l - b).collect();
+            let mean = apart.iter().sum::<f64>() / count;
+            let variance = apart.iter().map(|a| (a - mean).powi(2)).sum::<f64>() / (count - 1.0);
+            // Every block is outside several subsamples: those that share none are as many as fit into a whole.
+            let independent = count.min(1.0 / (1.0 - super::SHARE));
+            mean <= (variance / independent).sqrt()
+        };
+        let number = left.iter().position(is_as_good).unwrap_or(path.len() - 1);
+        path[number].clone()
+    }
+}
+
+/// Returns the compact set of what the subsamples found, fitted to `rows`.
+pub(super) fn compact(
+    dictionary: &Dictionary,
+    y: &[f64],
+    rows: &[usize],
+    samples: &[Sample],
+    is_large: bool,
+) -> Compact {
+    let candidates = candidates(samples);
+    let mut next = 0;
+    let columns: Vec<Vec<usize>> = candidates
+        .iter()
+        .map(|&entry| {
+            let first = next;
+            next += dictionary.entries[entry].columns.len();
+            (first..next).collect()
+        })
+        .collect();
+    let of_all: Vec<usize> =
+        candidates.iter().flat_map(|&entry| dictionary.entries[entry].columns.clone()).collect();
+    let judges = on_all_cores(samples, is_large, |sample| {
+        let target = |rows: &[usize]| -> Vec<f64> { rows.iter().map(|&row| y[row]).collect() };
+        let has_constant = dictionary.has_constant(&candidates);
+        let inside = Moments::new(
+            dictionary,
+            &target(&sample.inside),
+            &sample.inside,
+            &of_all,
+            has_constant,
+        );
+        let values: Vec<Vec<f64>> = of_all
+            .iter()
+            .map(|&n| sample.outside.iter().map(|&row| dictionary.columns[n][row]).collect())
+            .collect();
+        let outside =
+            Moments::about(&values, &target(&sample.outside), &inside.mean, inside.mean_y);
+        Judge { inside, outside }
+    });
+    let sets = Sets { dictionary, candidates, columns, judges };
+    let set = sets.fewest(&sets.path(is_large));
+    let terms: Vec<usize> = set.iter().map(|&n| sets.candidates[n]).collect();
+    let target: Vec<f64> = rows
+        .iter()
+        .map(|&row| {
+            let mean = samples.iter().map(|it| it.fitted.at(dictionary, row)).sum::<f64>()
+                / samples.len() as f64;
+            (1.0 - MEAN) * y[row] + MEAN * mean
+        })
+        .collect();
+    ridge(dictionary, &target, rows, &terms, SINGLE)
+}
+
+/// Returns the terms of the subsamples, those that come back most often first.
+fn candidates(samples: &[Sample]) -> Vec<usize> {
+    let mut counted: Vec<(usize, usize)> = Vec::new();
+    for &term in samples.iter().flat_map(|sample| &sample.fitted.terms) {
+        match counted.iter_mut().find(|(there, _)| *there == term) {
+            Some((_, count)) => *count += 1,
+            None => counted.push((term, 1)),
+        }
+    }
+    counted.sort_by_key(|&(term, count)| (std::cmp::Reverse(count), term));
+    counted.into_iter().map(|(term, _)| term).take(MOST_CANDIDATES).collect()
+}

@@ -1,0 +1,96 @@
+//! The terms that a correction is chosen from: what the board can run and only adds to the prediction, at each setting
+//! of what enters nonlinearly.
+
+use crate::{
+    candidates::possible, fit::Problem, kind::Part, model::Model, predict::compact::Compact,
+    search::start,
+};
+
+/// A table or curve of more values is judged by its repeats, not by blocks.
+const MOST_AMPLITUDES: usize = 16;
+
+/// A term at one setting; amplitudes 0.
+pub(super) struct Entry {
+    pub part: Part,
+    /// Its columns in [`Dictionary::columns`].
+    pub columns: std::ops::Range<usize>,
+    /// The number of its kind: a correction has one setting of a kind.
+    pub kind: usize,
+    /// Values that count where simplicity counts.
+    pub degrees: usize,
+}
+
+/// All terms, and what each adds to each group at an amplitude of 1.
+pub(super) struct Dictionary {
+    pub entries: Vec<Entry>,
+    pub columns: Vec<Vec<f64>>,
+    /// Whether the measurement's zero is arbitrary.
+    has_zero: bool,
+}
+
+impl Dictionary {
+    /// Returns the terms that the machine and the data allow.
+    pub(super) fn new(problem: &Problem) -> Self {
+        let base = start(&problem.data);
+        let residual = problem.residual(&base);
+        let groups = residual.len() as f64;
+        let has_zero = base.constant_um.is_some();
+        let mut dictionary = Self { entries: Vec::new(), columns: Vec::new(), has_zero };
+        let candidates = possible(problem, &base, &residual);
+        for (kind, candidate) in candidates.iter().enumerate() {
+            let of = &candidate.kind;
+            // A wave's period is found in what was measured, and would not be left out with a part of it.
+            let is_open = of.is_compensated() && of.is_added() && of.stated().is_none();
+            let amplitudes = of.amplitudes();
+            if !is_open || of.is_wave() || !(1..=MOST_AMPLITUDES).contains(&amplitudes) {
+                continue;
+            }
+            for setting in &candidate.settings {
+                // What the record does not show all of is continued at will.
+                if of.has_time_constant() && !problem.is_short(setting[0]) {
+                    continue;
+                }
+                let columns = problem.columns(of, setting, true);
+                let varies = |column: &Vec<f64>| {
+                    let mean = column.iter().sum::<f64>() / groups;
+                    let spread = column.iter().map(|c| (c - mean).powi(2)).sum::<f64>();
+                    spread.is_finite() && spread > 1e-18 * groups * (1.0 + mean * mean)
+                };
+                if !columns.iter().all(varies) {
+                    continue;
+                }
+                let mut values = setting.clone();
+                values.resize(of.degrees(), 0.0);
+                let first = dictionary.columns.len();
+                dictionary.columns.extend(columns.iter().cloned());
+                dictionary.entries.push(Entry {
+                    part: Part { kind: of.clone(), values },
+                    columns: first..dictionary.columns.len(),
+                    kind,
+                    degrees: of.degrees(),
+                });
+            }
+        }
+        dictionary
+    }
+
+    /// Returns a correction as a model.
+    pub(super) fn model(&self, compact: &Compact, base: Model) -> Model {
+        let mut model = Model { parts: Vec::new(), ..base };
+        let mut next = compact.amplitudes.iter();
+        for &entry in &compact.terms {
+            let mut part = self.entries[entry].part.clone();
+            let first = part.kind.nonlinear().len();
+            part.values[first..].iter_mut().zip(&mut next).for_each(|(value, a)| *value = *a);
+            model.parts.push(part);
+        }
+        model.constant_um = Some(compact.constant_um);
+        model.sort();
+        model
+    }
+
+    /// Whether a constant comes with one of these terms.
+    pub(super) fn has_constant(&self, terms: &[usize]) -> bool {
+        self.has_zero || terms.iter().any(|&term| self.entries[term].part.kind.has_reference())
+    }
+}
