@@ -3,7 +3,7 @@
 //! | what is written | where |
 //! |---|---|
 //! | the named terms | all are claimed, and leave only noise |
-//! | the correction of [`crate::predict`] | else, where it foresees left-out parts better than the file as it is, and than the named terms, each by more than a standard error |
+//! | the correction of [`crate::predict`] | else, where it foresees left-out parts better than the file as it is, and than the named terms, each beyond doubt (two standard errors), and the rest from the beginning |
 //! | the named terms | else |
 //!
 //! Named terms are only fitted again without a part, so that they seem to foresee more than they do: they stay where
@@ -55,10 +55,15 @@ impl Written {
     ) -> Choice {
         let on = self.problem(problem);
         let folds = Folds::of_promise(on);
-        let is_better = |before: &[f64], after: &[f64]| {
-            let paired = found.folds.paired(before, after);
-            // Where no cause was found nothing says yet that there is more than noise.
-            if judged.is_empty() { paired.is_certain() } else { paired.is_better() }
+        let is_better =
+            |before: &[f64], after: &[f64]| found.folds.paired(before, after).is_certain();
+        // A machine changes with the days: what the beginning says has to hold for the rest.
+        let left_by_file = on.residual(&Model::default());
+        let goes_on = |foreseen: &Foreseen| {
+            foreseen.later.iter().all(|(first, left)| {
+                let [before, after] = [&left_by_file[*first..], left].map(|um| rms(um));
+                after < before
+            })
         };
         let original = found.folds.left_out(on, &start(&on.data));
         let is_claimed =
@@ -72,6 +77,7 @@ impl Written {
         let prediction = prediction(on, &folds).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
+                && goes_on(&it.foreseen)
                 && named.as_ref().is_none_or(|named| is_better(named, &it.foreseen.left))
                 && Measured::new(on, runs).violated(on, &it.model).is_none()
                 && !is_worse(on, &it.model)
