@@ -30,6 +30,9 @@ use crate::{
 /// The most terms of a board.
 const MOST_TERMS: usize = 16;
 
+/// As harm on a hold-out: more than this times what the file leaves.
+const HARM: f64 = 1.05;
+
 /// What became of the choice.
 #[derive(Default)]
 pub(super) struct Choice {
@@ -62,7 +65,7 @@ impl Written {
         let goes_on = |foreseen: &Foreseen| {
             foreseen.later.iter().all(|(first, left)| {
                 let [before, after] = [&left_by_file[*first..], left].map(|um| rms(um));
-                after < before
+                after <= HARM * before
             })
         };
         let original = found.folds.left_out(on, &start(&on.data));
@@ -72,13 +75,19 @@ impl Written {
             let is_slow = part.kind.has_time_constant() && !on.is_short(part.values[0]);
             !is_slow || is_claimed(&part.kind)
         });
+        let has_claimed = self.board.parts.iter().any(|part| is_claimed(&part.kind));
+        let is_rival = |named: &[f64], predicted: &[f64]| {
+            // Of open names none is worth more than another: they stay where they foresee better.
+            let is_beaten = is_better(named, predicted);
+            !is_beaten && (has_claimed || found.folds.paired(predicted, named).is_better())
+        };
         let named = is_shown.then(|| folds.left_out_signed(on, &self.board, Clone::clone));
         let room = MOST_TERMS.saturating_sub(problem.data.machine.terms.len());
         let prediction = prediction(on, &folds).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)
-                && named.as_ref().is_none_or(|named| is_better(named, &it.foreseen.left))
+                && !named.as_ref().is_some_and(|named| is_rival(named, &it.foreseen.left))
                 && Measured::new(on, runs).violated(on, &it.model).is_none()
                 && !is_worse(on, &it.model)
         });

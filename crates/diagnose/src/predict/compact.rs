@@ -15,6 +15,11 @@ pub(super) const MOST_TERMS: usize = 8;
 const RIDGE: f64 = 0.05;
 /// The ridge of a single fit, against columns that are nearly alike.
 const SINGLE: f64 = 1e-3;
+/// Held more, a fit is none.
+const MOST_RIDGE: f64 = 10.0;
+/// A term does at most so many times what was measured ([`crate::answer`]: of two terms that take each other back each is
+/// larger).
+const MOST_TIMES: f64 = 2.0;
 /// An exchange has to gain this share.
 const EXCHANGE: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.
@@ -80,10 +85,25 @@ fn ridge(
         return Compact::default();
     }
     let moments = Moments::new(dictionary, target, rows, &columns, has_constant);
-    let amplitudes = moments.solve(&(0..columns.len()).collect::<Vec<_>>(), ridge);
+    let all: Vec<usize> = (0..columns.len()).collect();
+    let most = MOST_TIMES * extent(target.iter().map(|um| um - moments.mean_y));
+    // Terms that take each other back are held until none does more than a machine can.
+    let is_possible = |amplitudes: &DVector<f64>| {
+        columns.iter().zip(amplitudes.iter()).zip(&moments.mean).all(|((&column, a), mean)| {
+            extent(rows.iter().map(|&row| a * (dictionary.columns[column][row] - mean))) <= most
+        })
+    };
+    let ridges = std::iter::successors(Some(ridge), |ridge| Some(10.0 * ridge));
+    let ridges = ridges.take_while(|ridge| *ridge <= MOST_RIDGE);
+    let mut solutions = ridges.map(|ridge| moments.solve(&all, ridge));
+    let Some(amplitudes) = solutions.find(is_possible) else { return Compact::default() };
     let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
     let constant_um = if has_constant { moments.mean_y - of_mean } else { 0.0 };
     Compact { terms: terms.to_vec(), amplitudes: amplitudes.iter().copied().collect(), constant_um }
+}
+
+fn extent(values: impl Iterator<Item = f64>) -> f64 {
+    values.fold(0.0_f64, |most, value| most.max(value.abs()))
 }
 
 /// Second moments of columns and of a target over some groups.

@@ -42,7 +42,9 @@ impl Dictionary {
             // A wave's period is found in what was measured, and would not be left out with a part of it.
             let is_open = of.is_compensated() && of.is_added() && of.stated().is_none();
             let amplitudes = of.amplitudes();
-            if !is_open || of.is_wave() || !(1..=MOST_AMPLITUDES).contains(&amplitudes) {
+            // Nor is what happens once a record foreseen by its other parts.
+            let is_once = of.is_wave() || of.is_from_the_start();
+            if !is_open || is_once || !(1..=MOST_AMPLITUDES).contains(&amplitudes) {
                 continue;
             }
             for setting in &candidate.settings {
