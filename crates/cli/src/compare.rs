@@ -7,6 +7,7 @@ use clap::Args;
 use trueup_compare::{
     compare::{Comparison, Place, compare},
     page,
+    thermal::at_reference,
 };
 use trueup_machine::file;
 
@@ -31,6 +32,9 @@ pub struct Compare {
     /// What to compare, where the runs measure several quantities.
     #[arg(long)]
     quantity: Option<Quantity>,
+    /// The machine file: the expansion of its axes is taken off both runs.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
     /// No place may differ by more, in µm, the shift of all taken off.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     limit_um: Option<f64>,
@@ -48,7 +52,19 @@ const LISTED: usize = 12;
 pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
     let (a, b) = (files::run(&args.a, None)?, files::run(&args.b, None)?);
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
-    let it = compare(&a, &b, quantity)?;
+    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
+    let [(a, first), (b, second)] = [a, b].map(|run| at_reference(&run, machine.as_ref()));
+    let mut it = compare(&a, &b, quantity)?;
+    if first != second {
+        // The expansion of one run alone would be a difference.
+        return Err(UserError(format!(
+            "{}: {first} {}: {second}",
+            args.a.display(),
+            args.b.display()
+        ))
+        .into());
+    }
+    it.sentences.push(first);
     let json = serde_json::to_string_pretty(&it)?;
     if let Some(folder) = &args.out {
         fs::create_dir_all(folder)

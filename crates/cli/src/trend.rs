@@ -1,10 +1,14 @@
 //! `trueup trend`: constants over dated files.
 
-use std::{fs, path::PathBuf};
+use std::{
+    fs,
+    path::PathBuf,
+    time::{SystemTime, UNIX_EPOCH},
+};
 
 use anyhow::Result;
 use clap::Args;
-use trueup_compare::{dated, page, trend::trends};
+use trueup_compare::{dated, page, thermal::at_reference, trend::trends};
 
 use crate::{
     Outcome, UserError,
@@ -26,9 +30,26 @@ pub struct Trend {
     /// A change that matters, in the unit of the constant; left out, what one measurement can tell.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     limit_um: Option<f64>,
+    /// The machine file: the expansion of its axes is taken off run files that have a temperature.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// The day on which it is asked, 2026-11-22; left out, the day of this computer (UTC).
+    #[arg(long, value_name = "DATE", value_parser = day)]
+    today: Option<dated::Day>,
     /// A folder for trend.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: Option<PathBuf>,
+}
+
+/// A day as it is written.
+fn day(text: &str) -> Result<dated::Day, String> {
+    dated::day_of(text).ok_or_else(|| "is no date like 2026-11-22".into())
+}
+
+/// Returns the day of this computer.
+fn today() -> Option<dated::Day> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    dated::Day::try_from(since.as_secs() / 86_400).ok()
 }
 
 /// Reads the folder and tells the trends.
@@ -38,6 +59,9 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
         fs::read_dir(&args.folder).map_err(|error| bad(format!("cannot be read: {error}")))?;
     let mut paths: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
     paths.sort();
+    let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
+    let today = args.today.or_else(today);
+    let mut notes: Vec<String> = Vec::new();
     let mut days = Vec::new();
     for path in paths {
         let kind = path.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_string();
@@ -50,9 +74,23 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
             report::warn(format_args!("{name}: passed over, its name has no date like 2026-11-22"));
             continue;
         };
+        // A day west of Greenwich is still yesterday, one east of it may be tomorrow.
+        if let Some(today) = today.filter(|today| day > today + 1) {
+            return Err(bad(format!(
+                "{name} is of a day in the future (today is {}): correct its date, or give --today",
+                dated::text_of(today)
+            ))
+            .into());
+        }
         let constants = match kind.as_str() {
             "toml" => dated::of_machine(&files::machine(&path)?),
-            _ => dated::of_run(&files::run(&path, None)?),
+            _ => {
+                let (run, note) = at_reference(&files::run(&path, None)?, machine.as_ref());
+                if !notes.contains(&note) {
+                    notes.push(note);
+                }
+                dated::of_run(&run)
+            }
         };
         if constants.is_empty() {
             report::warn(format_args!("{name}: passed over, it has no backlash, pitch or growth"));
@@ -63,7 +101,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
     if days.is_empty() {
         return Err(bad("has no dated .csv or .toml with a constant in it".into()).into());
     }
-    let found = trends(&days, args.limit_um);
+    let found = trends(&days, args.limit_um, today);
     let json = serde_json::to_string_pretty(&found)?;
     if let Some(folder) = &args.out {
         fs::create_dir_all(folder)
@@ -85,6 +123,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
                 output::print(format_args!("  {} {:.2}{half}", point.date, point.value))?;
             }
         }
+        notes.iter().try_for_each(|note| output::print(note))?;
     }
     Ok(Outcome::Done)
 }

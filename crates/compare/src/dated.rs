@@ -4,7 +4,7 @@
 //! positions what a line through its readings says: a slope along the axis, and the backlash.
 
 use trueup_machine::{Machine, RunFile, file::LinearAxis, model::is_reverse};
-use trueup_numerics::{least_squares::Triangle, t_quantile};
+use trueup_numerics::{least_squares::Triangle, robust::in_relation, t_quantile};
 
 /// A day, counted from 1970-01-01.
 pub type Day = i64;
@@ -97,8 +97,22 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
             add(format!("axis.{name}.thermal.slope_um_per_m_per_c"), thermal.slope_um_per_m_per_c);
         }
     }
-    if let Some(warmup) = &machine.spindle.warmup {
+    let spindle = &machine.spindle;
+    if let Some(sensor) = &spindle.sensor {
+        add("spindle.sensor.k0_um".into(), sensor.k0_um);
+        add("spindle.sensor.zero_counts".into(), sensor.zero_counts);
+        add("spindle.sensor.um_per_count".into(), sensor.um_per_count);
+    }
+    if let Some(warmup) = &spindle.warmup {
+        add("spindle.warmup.lag_s".into(), warmup.lag_s);
+        add("spindle.warmup.warm_s".into(), warmup.warm_s);
         add("spindle.warmup.max_um".into(), warmup.max_um);
+        add("spindle.warmup.exponent".into(), warmup.exponent);
+    }
+    if let Some(law) = &spindle.temperature {
+        add("spindle.temperature.reference_c".into(), law.reference_c);
+        add("spindle.temperature.k_um_per_c".into(), law.k_um_per_c);
+        add("spindle.temperature.lag_s".into(), law.lag_s);
     }
     found
 }
@@ -122,12 +136,24 @@ fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<Vec<Constant>> {
         (low.min(at[*row]), high.max(at[*row]))
     });
     let moves = spread.1 > spread.0;
-    let mut line = Triangle::new(1 + usize::from(moves) + usize::from(both));
-    for row in rows {
+    let columns = |row: usize| {
         let mut x = vec![1.0];
         x.extend(moves.then(|| at[row] / 1000.0));
         x.extend(both.then(|| f64::from(u8::from(reverse(row)))));
-        line.add(&x, um[row]);
+        x
+    };
+    let count = 1 + usize::from(moves) + usize::from(both);
+    let by_column: Vec<Vec<f64>> =
+        (0..count).map(|n| rows.iter().map(|row| columns(*row)[n]).collect()).collect();
+    let by_column: Vec<&[f64]> = by_column.iter().map(Vec::as_slice).collect();
+    let values: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
+    let outliers: Vec<usize> =
+        in_relation(&by_column, &values).iter().map(|outlier| outlier.row).collect();
+    let mut line = Triangle::new(count);
+    for (n, row) in rows.into_iter().enumerate() {
+        if !outliers.contains(&n) {
+            line.add(&columns(row), um[row]);
+        }
     }
     let line = line.solve().ok()?;
     let t = t_quantile(0.975, line.degrees_of_freedom() as f64);

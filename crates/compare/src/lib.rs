@@ -11,4 +11,5 @@
 pub mod compare;
 pub mod dated;
 pub mod page;
+pub mod thermal;
 pub mod trend;

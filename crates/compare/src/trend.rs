@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! value = a + b·t,   b with its 95 % interval by Student's t from what the line leaves
+//! value = a | a + d  two levels, where BIC has strong evidence (6, Kass and Raftery 1995) for them instead of the line
 //! ```
 //!
 //! "Measure again" is the day on which the constant may have changed by so much that it matters, at the
@@ -9,7 +10,7 @@
 //! what a single measurement can tell: half its own interval, or twice what the line leaves.
 
 use serde::Serialize;
-use trueup_numerics::least_squares::Triangle;
+use trueup_numerics::{least_squares::Triangle, t_quantile};
 
 use crate::dated::{Constant, Day, text_of};
 
@@ -46,13 +47,59 @@ pub struct Trend {
     pub matters: Option<f64>,
     /// The day by which to measure again.
     pub measure_again_by: Option<String>,
+    /// Whether that day has passed.
+    pub overdue: bool,
+    /// A step between two days, where it explains the values better than a line.
+    pub step: Option<Step>,
     /// What it means.
     pub sentence: String,
 }
 
-/// The trends of these days' constants; `limit`: a change that matters.
+/// Two levels with a step between.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Step {
+    /// The last day before it and the first one after it.
+    pub between: [String; 2],
+    /// Its size, and half its 95 % interval.
+    pub size: f64,
+    /// Half the interval.
+    pub half_width: f64,
+}
+
+/// A difference of BIC from which evidence is strong.
+const STRONG_EVIDENCE: f64 = 6.0;
+
+/// Returns the best two levels, and by how much their BIC is below that of the line, which leaves `squares`.
+fn step(points: &[Point], squares: f64, own: Option<f64>) -> Option<(Step, f64)> {
+    let count = points.len() as f64;
+    // No value is known better than a tenth of what one measurement says of itself.
+    let least = own.map_or(f64::MIN_POSITIVE, |half| count * (half / 19.6).powi(2));
+    let bic = |squares: f64, constants: f64| {
+        count * (squares.max(least) / count).ln() + constants * count.ln()
+    };
+    let mean = |all: &[Point]| all.iter().map(|it| it.value).sum::<f64>() / all.len() as f64;
+    let left = |all: &[Point]| all.iter().map(|it| (it.value - mean(all)).powi(2)).sum::<f64>();
+    // A level of one day may be a bad measurement.
+    let cuts =
+        (2..points.len().saturating_sub(1)).filter(|cut| points[*cut].days > points[*cut - 1].days);
+    let best = cuts.map(|cut| (cut, left(&points[..cut]) + left(&points[cut..])));
+    let (cut, two) = best.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (before, after) = points.split_at(cut);
+    let freedom = count - 2.0;
+    let scatter = (two.max(least) / freedom).sqrt();
+    let shares = (1.0 / before.len() as f64 + 1.0 / after.len() as f64).sqrt();
+    let step = Step {
+        between: [before[cut - 1].date.clone(), after[0].date.clone()],
+        size: mean(after) - mean(before),
+        half_width: t_quantile(0.975, freedom) * scatter * shares,
+    };
+    // The day of the step is a constant too.
+    Some((step, bic(squares, 2.0) - bic(two, 3.0)))
+}
+
+/// The trends of these days' constants; `limit`: a change that matters; `today` says whether a measurement is overdue.
 #[must_use]
-pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>) -> Vec<Trend> {
+pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>, today: Option<Day>) -> Vec<Trend> {
     let mut days: Vec<&(Day, Vec<Constant>)> = days.iter().collect();
     days.sort_by_key(|(day, _)| *day);
     let mut names: Vec<&str> = Vec::new();
@@ -66,12 +113,12 @@ pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>) -> Vec<Trend> {
             let mine = constants.iter().filter(|it| it.name == *name);
             mine.map(|it| (*day, it.clone())).collect::<Vec<_>>()
         };
-        trend(name, &days.iter().flat_map(of_day).collect::<Vec<_>>(), limit)
+        trend(name, &days.iter().flat_map(of_day).collect::<Vec<_>>(), limit, today)
     };
     names.iter().map(of).collect()
 }
 
-fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>) -> Trend {
+fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>, today: Option<Day>) -> Trend {
     let first = found.first().map_or(0, |(day, _)| *day);
     let point = |(day, constant): &(Day, Constant)| Point {
         date: text_of(*day),
@@ -90,6 +137,8 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>) -> Trend {
         changes: false,
         matters: limit,
         measure_again_by: None,
+        overdue: false,
+        step: None,
         sentence: String::new(),
     };
     let mut line = Triangle::new(2);
@@ -108,6 +157,19 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>) -> Trend {
     it.changes = rate.abs() > half;
     let told: Vec<f64> = it.points.iter().filter_map(|point| point.half_width).collect();
     let own = (!told.is_empty()).then(|| told.iter().sum::<f64>() / told.len() as f64);
+    let squares = line.variance() * line.degrees_of_freedom() as f64;
+    if let Some((step, evidence)) = step(&it.points, squares, own)
+        && evidence >= STRONG_EVIDENCE
+    {
+        let [from, to] = &step.between;
+        it.sentence = format!(
+            "has changed by {:+.2} ± {:.2} in a step between {from} and {to}, and not by an amount a year: look for what \
+             happened then, and measure again after it is repaired.",
+            step.size, step.half_width
+        );
+        (it.changes, it.per_year, it.step) = (true, None, Some(step));
+        return it;
+    }
     let matters = limit.or(own).unwrap_or(2.0 * line.variance().sqrt());
     it.matters = Some(matters);
     let fastest = rate.abs() + half;
@@ -119,7 +181,16 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>) -> Trend {
     };
     // A century is beyond any plan, and beyond what the days can count.
     if fastest > 0.0 && years < 100.0 {
-        let day = text_of(last + (years * YEAR).floor() as Day);
+        let by = last + (years * YEAR).floor() as Day;
+        let day = text_of(by);
+        it.overdue = today.is_some_and(|today| by < today);
+        if it.overdue {
+            it.sentence = format!(
+                "{said} It may have changed by {matters:.2} since the last measurement: the next one is overdue since {day}."
+            );
+            it.measure_again_by = Some(day);
+            return it;
+        }
         it.sentence = format!(
             "{said} By {day} it may have changed by {matters:.2} since the last measurement: measure again \
              until then."

@@ -109,7 +109,7 @@ fn wear_is_a_line_with_an_interval_and_a_date() {
             (day(date), of_run(&run))
         })
         .collect();
-    let found = trends(&days, Some(2.0));
+    let found = trends(&days, Some(2.0), None);
     let wear = found.iter().find(|it| it.name == "axis.x.backlash.width_um").expect("it is there");
     let [rate, half] = wear.per_year.expect("five days");
     println!("{wear:?}");
@@ -122,7 +122,58 @@ fn wear_is_a_line_with_an_interval_and_a_date() {
         !slope.changes || slope.per_year.is_some_and(|[rate, _]| rate.abs() < 0.3),
         "{slope:?}"
     );
+    // A step is none either.
+    let value = |name: &str, value: f64| Constant { name: name.into(), value, half_width: None };
+    let levels = [4.0, 4.1, 3.9, 9.0, 9.1, 8.9];
+    let steps: Vec<_> =
+        (0..6).map(|n| (first + 90 * n, vec![value("k", levels[n as usize])])).collect();
+    let stepped = &trends(&steps, None, None)[0];
+    let found = stepped.step.as_ref().expect("a step");
+    assert!((found.size - 5.0).abs() < 0.3 && stepped.per_year.is_none(), "{stepped:?}");
     // Two days are no trend.
-    let two = trends(&days[..2], None);
+    let two = trends(&days[..2], None, None);
     assert!(two[0].per_year.is_none() && two[0].sentence.contains("needs 3"), "{two:?}");
+}
+
+#[test]
+fn a_warmer_run_is_no_difference_where_the_machine_file_knows_the_expansion() {
+    let machine = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x]\nfeedback = \"screw\"\n[axis.x.thermal]\n\
+                   mode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20.0\nslope_um_per_m_per_c = 11.5\n\
+                   origin_mm = 0.0\n[axis.x.backlash]\nwidth_um = 3.0\n";
+    let machine =
+        trueup_machine::MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
+    let at = |celsius: f64, seed: usize| {
+        let noise = [0.4, -0.3, 0.1, -0.5, 0.2, 0.3, -0.2];
+        let mut text = "x_mm,dir_x,temp_screw_c,measured_dx_um\n".to_string();
+        for n in 0..60 {
+            let (x, dir) = (100.0 * (n % 10) as f64, if n / 10 % 2 == 0 { 1.0 } else { -1.0 });
+            let um = 11.5 * (celsius - 20.0) * x / 1000.0 + if dir < 0.0 { 3.0 } else { 0.0 };
+            text += &format!("{x},{dir},{celsius},{:.2}\n", um + noise[(n * 3 + seed) % 7]);
+        }
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+    };
+    let (cool, warm) = (at(20.0, 1), at(26.0, 4));
+    let raw = compare(&cool, &warm, None).expect("comparable");
+    assert_eq!(raw.cause, Some("pitch-scale"), "{raw:?}");
+    let [(cool, said), (warm, _)] =
+        [cool, warm].map(|run| trueup_compare::thermal::at_reference(&run, Some(&machine)));
+    assert!(said.contains("taken off"), "{said}");
+    let corrected = compare(&cool, &warm, None).expect("comparable");
+    assert!(!corrected.differs, "{corrected:?}");
+    let slope = of_run(&warm).into_iter().find(|it| it.name.contains("slope")).expect("a slope");
+    assert!(slope.value.abs() < 1.0, "{slope:?}");
+}
+
+#[test]
+fn one_bad_reading_moves_no_backlash_of_a_dated_run() {
+    let mut text = "x_mm,dir_x,measured_dx_um\n".to_string();
+    for n in 0..42 {
+        let (x, dir) = (100.0 + 300.0 * (n % 3) as f64, if n / 3 % 2 == 0 { 1.0 } else { -1.0 });
+        let bad = if n == 10 { 90.0 } else { 0.0 };
+        let noise = [0.3, -0.2, 0.4, -0.4, 0.1][n % 5];
+        text += &format!("{x},{dir},{:.2}\n", if dir < 0.0 { 6.0 } else { 0.0 } + noise + bad);
+    }
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    let width = of_run(&run).into_iter().find(|it| it.name.contains("width")).expect("a width");
+    assert!((width.value - 6.0).abs() < 0.3, "{width:?}");
 }

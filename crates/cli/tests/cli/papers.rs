@@ -124,10 +124,14 @@ fn compare_and_trend_tell_what_has_worn() {
     assert_eq!(desk.files("c"), ["comparison.json", "report.html"]);
     desk.said(&format!("{line} --limit-um 1"), 3);
     desk.said(&format!("{line} --limit-um 2"), 0);
-    let (out, _) = desk.said("trend years --limit-um 1.5 --out t", 0);
+    let (out, _) = desk.said("trend years --limit-um 1.5 --out t --today 2026-04-01", 0);
     assert!(out.contains("axis.x.backlash.width_um: changes by +1.50 ±"), "{out}");
     assert!(out.contains("measure again") && out.contains("2027-0"), "{out}");
     assert_eq!(desk.files("t"), ["report.html", "trend.json"]);
+    let (out, _) = desk.said("trend years --limit-um 1.5 --today 2030-04-01", 0);
+    assert!(out.contains("is overdue since 2027-0"), "{out}");
+    let (_, err) = desk.said("trend years --today 2025-12-01", 2);
+    assert!(err.contains("mill-2026-03-01.csv is of a day in the future"), "{err}");
     let (_, err) = desk.said("trend out", 2);
     assert!(err.contains("no date like 2026-11-22") && err.contains("no dated .csv"), "{err}");
 }
