@@ -9,6 +9,7 @@ mod errors;
 pub(crate) mod extended;
 mod figure;
 mod finding;
+mod harm;
 mod held_out;
 mod hint;
 pub(crate) mod hold_out;

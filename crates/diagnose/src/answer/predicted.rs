@@ -14,7 +14,7 @@ use trueup_numerics::blocks::rms;
 
 use crate::{
     answer::{
-        errors::about_zero, measured::Measured, not_written::NotWritten, report::Finding,
+        harm::is_worse, measured::Measured, not_written::NotWritten, report::Finding,
         report::Partner, written::Written,
     },
     blocks::Folds,
@@ -64,7 +64,7 @@ impl Written {
         let left_by_file = on.residual(&Model::default());
         let goes_on = |foreseen: &Foreseen| {
             foreseen.later.iter().all(|(first, left)| {
-                let [before, after] = [&left_by_file[*first..], left].map(|um| rms(um));
+                let [before, after] = [&left_by_file[*first..], &left[..]].map(rms);
                 after <= HARM * before
             })
         };
@@ -100,18 +100,6 @@ impl Written {
         }
         Choice::default()
     }
-}
-
-/// Whether the rows that were fitted are left worse.
-pub(super) fn is_worse(on: &Problem, model: &Model) -> bool {
-    /// They are never left worse than this times what the machine file as it is leaves.
-    const NEVER_WORSE: f64 = 1.01;
-    let left = |model: &Model| {
-        let um = on.residual(model);
-        [rms(&um), rms(&about_zero(&on.data, um))]
-    };
-    let [before, after] = [&Model::default(), model].map(left);
-    after.iter().zip(before).any(|(after, before)| *after > NEVER_WORSE * before)
 }
 
 /// The findings of terms that were chosen for prediction and are not among the named ones.

@@ -22,9 +22,8 @@ use trueup_numerics::{blocks::rms, robust::median};
 
 use crate::{
     answer::{
-        errors::about_zero, hold_out::HoldOut, kept_of, measured::Measured,
-        not_written::NotWritten, predicted::is_worse, transfer::Transfer, unseen::Unseen,
-        without_all,
+        errors::about_zero, harm::is_worse, hold_out::HoldOut, kept_of, measured::Measured,
+        not_written::NotWritten, transfer::Transfer, unseen::Unseen, without_all,
     },
     data::Data,
     fit::{Fitted, Problem, fit},

@@ -7,7 +7,7 @@
 use nalgebra::{DMatrix, DVector};
 use trueup_numerics::parallel::on_all_cores;
 
-use crate::predict::dictionary::Dictionary;
+use crate::{model::Model, predict::dictionary::Dictionary};
 
 /// Most terms: what the board has room for beside those of the file.
 pub(super) const MOST_TERMS: usize = 8;
@@ -44,6 +44,21 @@ pub(super) struct Sample {
 }
 
 impl Compact {
+    /// Returns it as a model.
+    pub(super) fn model(&self, dictionary: &Dictionary, base: Model) -> Model {
+        let mut model = Model { parts: Vec::new(), ..base };
+        let mut next = self.amplitudes.iter();
+        for &entry in &self.terms {
+            let mut part = dictionary.entries[entry].part.clone();
+            let first = part.kind.nonlinear().len();
+            part.values[first..].iter_mut().zip(&mut next).for_each(|(value, a)| *value = *a);
+            model.parts.push(part);
+        }
+        model.constant_um = Some(self.constant_um);
+        model.sort();
+        model
+    }
+
     /// Returns what it adds to a group.
     pub(super) fn at(&self, dictionary: &Dictionary, row: usize) -> f64 {
         let columns = self.terms.iter().flat_map(|&term| dictionary.entries[term].columns.clone());

@@ -1,10 +1,7 @@
 //! The terms that a correction is chosen from: what the board can run and only adds to the prediction, at each setting
 //! of what enters nonlinearly.
 
-use crate::{
-    candidates::possible, fit::Problem, kind::Part, model::Model, predict::compact::Compact,
-    search::start,
-};
+use crate::{candidates::possible, fit::Problem, kind::Part, search::start};
 
 /// A table or curve of more values is judged by its repeats, not by blocks.
 const MOST_AMPLITUDES: usize = 16;
@@ -74,21 +71,6 @@ impl Dictionary {
             }
         }
         dictionary
-    }
-
-    /// Returns a correction as a model.
-    pub(super) fn model(&self, compact: &Compact, base: Model) -> Model {
-        let mut model = Model { parts: Vec::new(), ..base };
-        let mut next = compact.amplitudes.iter();
-        for &entry in &compact.terms {
-            let mut part = self.entries[entry].part.clone();
-            let first = part.kind.nonlinear().len();
-            part.values[first..].iter_mut().zip(&mut next).for_each(|(value, a)| *value = *a);
-            model.parts.push(part);
-        }
-        model.constant_um = Some(compact.constant_um);
-        model.sort();
-        model
     }
 
     /// Whether a constant comes with one of these terms.

@@ -74,7 +74,7 @@ pub(crate) fn prediction(problem: &Problem, folds: &Folds) -> Option<Prediction>
     let all: Vec<usize> = (0..groups).collect();
     let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large: problem.is_large() };
     let whole = engine.run(&all, PAIRS)?;
-    let model = dictionary.model(&whole, start(&problem.data));
+    let model = whole.model(&dictionary, start(&problem.data));
     let parts = folds.parts();
     let count = parts.iter().max().map_or(0, |last| last + 1);
     let mut left = y.clone();
