@@ -123,7 +123,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
                 output::print(format_args!("  {} {:.2}{half}", point.date, point.value))?;
             }
         }
-        notes.iter().try_for_each(|note| output::print(note))?;
+        notes.iter().try_for_each(output::print)?;
     }
     Ok(Outcome::Done)
 }
