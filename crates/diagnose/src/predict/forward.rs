@@ -208,7 +208,7 @@ mod tests {
     #[test]
     fn a_gain_is_what_a_value_of_the_other_blocks_takes_off() {
         let (z, r) = ([1.0, -1.0, 1.0, -1.0], [2.0, -2.0, 1.0, -1.0]);
-        let mut gains = vec![0.0; 2];
+        let mut gains = [0.0; 2];
         assert!(add_gains(&z, &r, &[2, 4], 4.0, &mut gains));
         assert_eq!(gains, [6.0, 0.0]);
     }
@@ -219,7 +219,7 @@ mod tests {
         let mut z = vec![0.0; 80];
         z[..10].copy_from_slice(&[1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0, -1.0]);
         let ends: Vec<usize> = (1..=8).map(|n| 10 * n).collect();
-        assert!(!add_gains(&z, &z.clone(), &ends, 10.0, &mut vec![0.0; 8]));
+        assert!(!add_gains(&z, &z.clone(), &ends, 10.0, &mut [0.0; 8]));
     }
 
     /// 1 + 2·(½ + ¼ + ⅛ + …), down to 0.05: ½, ¼, ⅛ and 1/16.
