@@ -27,8 +27,9 @@ use crate::node::{Frames, Line, Node};
 
 /// Where X, Y and Z go, from 0, in positions: a large gantry, and a little beyond its tables.
 const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
-/// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 counts.
-const COLD: [u32; 2] = [107_793_500, 1_105_920];
+/// A PT100 at 20 °C in micro-ohms, and a linear chain at 20 °C in 1/256 codes: 4000 + 16·20 counts of
+/// 10 V/32768 behind a divider of 0.328.
+const COLD: [u32; 2] = [107_793_500, 137_403];
 /// And up to 40 K above.
 const WARMTH_MK: u32 = 40_000;
 
@@ -238,9 +239,9 @@ impl<'a> Vectors<'a> {
             let walked = warmth_mk.saturating_add_signed(random.around(2));
             *warmth_mk = walked.min(WARMTH_MK);
             let [pt100, linear] = COLD;
-            // 0.3851 Ω in a kelvin, 16 counts of 256.
+            // 0.3851 Ω in a kelvin, 1.99 codes of 256.
             let raw = match number {
-                1 => linear.wrapping_add(warmth_mk.wrapping_mul(4_096) / 1_000),
+                1 => linear.wrapping_add(warmth_mk.wrapping_mul(509) / 1_000),
                 _ => pt100.wrapping_add(warmth_mk.wrapping_mul(385)),
             };
             let raw =

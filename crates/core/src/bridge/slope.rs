@@ -67,7 +67,8 @@ impl Bridge<'_> {
         };
         let away = position.0.abs_diff(origin.0).max(METRE);
         let step = step(self.calibration.limits.slew_nm_per_s, elapsed_ms, away);
-        let slope = goal.clamp(sent.saturating_sub(step), sent.saturating_add(step));
+        // Not `clamp`, which could panic.
+        let slope = goal.max(sent.saturating_sub(step)).min(sent.saturating_add(step));
         let offset = last.offset.and_then(|offset| offset.get(number).copied());
         let constant = offset.and_then(|Nanometres(offset)| {
             let Nanometres(of_slope) = gradient(slope).over(origin, position).rounded();

@@ -125,10 +125,14 @@ pub(crate) fn conclude(
     let mut model = kept(problem, &found, judged);
     let mut written = Written::new(problem, &found, judged, &model, asked.runs);
     let wandering = Wandering::of(problem, &found);
-    let choice = if is_settled(&found, judged, wandering.is_some()) && written.left.is_empty() {
+    // What was measured several times at the same positions is judged by its repeats.
+    let repeats_itself = data.quantity.axis().is_some()
+        && repeats::analyse(&data, &Model::default().predict(&data), &aside).is_some();
+    let is_settled = is_settled(&found, judged, wandering.is_some()) && written.left.is_empty();
+    let choice = if is_settled || repeats_itself {
         Choice::default()
     } else {
-        written.choose(problem, &found, judged, asked.runs)
+        written.choose(problem, &found, judged, &model, asked.runs)
     };
     if choice.is_predicted {
         model.parts.retain(|part| !part.kind.is_compensated());

@@ -7,7 +7,8 @@
 //! | the named terms | else |
 //!
 //! Named terms are only fitted again without a part, so that they seem to foresee more than they do: they stay where
-//! the two are alike. One that is not claimed and settles more slowly than the record shows is no rival.
+//! the two are alike. An open path of heat that settles more slowly than the record
+//! shows is no rival.
 
 use trueup_machine::RunFile;
 use trueup_numerics::blocks::rms;
@@ -48,15 +49,26 @@ pub(super) fn is_settled(found: &Found, judged: &[Judgement], wanders: bool) -> 
 }
 
 impl Written {
-    /// Writes what foresees left-out parts best; `judged` are the named terms, measured in `runs`.
+    /// Writes what foresees left-out parts best; `judged` are the named terms, of which `joint` is handed out, measured in
+    /// `runs`.
     pub(super) fn choose(
         &mut self,
         problem: &Problem,
         found: &Found,
         judged: &[Judgement],
+        joint: &Model,
         runs: &[RunFile],
     ) -> Choice {
         let on = self.problem(problem);
+        let parts = joint.parts.iter();
+        // A step is seen by the blocks; a drift goes as what is slow does.
+        let is_drift =
+            |kind: &Kind| !kind.is_compensated() && kind.is_added() && !kind.has_instant();
+        let parts = parts.filter(|it| is_drift(&it.kind)).cloned();
+        let beside = Model { parts: parts.collect(), constant_um: None };
+        let [beside, believed] = [&beside, &Model::default()].map(|it| on.predicted(it));
+        let beside: Vec<f64> =
+            beside.iter().zip(believed).map(|(um, of_file)| um - of_file).collect();
         let folds = Folds::of_promise(on);
         let is_better =
             |before: &[f64], after: &[f64]| found.folds.paired(before, after).is_certain();
@@ -71,19 +83,22 @@ impl Written {
         let original = found.folds.left_out(on, &start(&on.data));
         let is_claimed =
             |kind: &Kind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
+        let is_own_model = |kind: &Kind| kind.tier() == 0;
+        let is_worth_more = |kind: &Kind| is_claimed(kind) || is_own_model(kind);
         let is_shown = self.board.parts.iter().all(|part| {
             let is_slow = part.kind.has_time_constant() && !on.is_short(part.values[0]);
-            !is_slow || is_claimed(&part.kind)
+            !is_slow || is_worth_more(&part.kind)
         });
-        let has_claimed = self.board.parts.iter().any(|part| is_claimed(&part.kind));
+        let has_names = self.board.parts.iter().any(|part| is_worth_more(&part.kind));
         let is_rival = |named: &[f64], predicted: &[f64]| {
-            // Of open names none is worth more than another: they stay where they foresee better.
+            // An open path of heat is worth no more than another one: it stays where it foresees better. A constant of the
+            // machine's own model is.
             let is_beaten = is_better(named, predicted);
-            !is_beaten && (has_claimed || found.folds.paired(predicted, named).is_better())
+            !is_beaten && (has_names || found.folds.paired(predicted, named).is_better())
         };
         let named = is_shown.then(|| folds.left_out_signed(on, &self.board, Clone::clone));
         let room = MOST_TERMS.saturating_sub(problem.data.machine.terms.len());
-        let prediction = prediction(on, &folds).filter(|it| {
+        let prediction = prediction(on, &folds, &beside).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)

@@ -65,10 +65,12 @@ pub(crate) fn later_from(groups: usize) -> [usize; 2] {
     [groups / 2, 2 * groups / 3]
 }
 
-/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks.
-pub(crate) fn prediction(problem: &Problem, folds: &Folds) -> Option<Prediction> {
+/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is what
+/// no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
+pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
     let dictionary = Dictionary::new(problem);
-    let y = problem.residual(&Model::default());
+    let measured = problem.residual(&Model::default());
+    let y: Vec<f64> = measured.iter().zip(beside).map(|(um, beside)| um - beside).collect();
     let groups = y.len();
     let is_timed = problem.data.time_s.is_some();
     let all: Vec<usize> = (0..groups).collect();
@@ -77,7 +79,7 @@ pub(crate) fn prediction(problem: &Problem, folds: &Folds) -> Option<Prediction>
     let model = whole.model(&dictionary, start(&problem.data));
     let parts = folds.parts();
     let count = parts.iter().max().map_or(0, |last| last + 1);
-    let mut left = y.clone();
+    let mut left = measured.clone();
     for part in 0..count {
         let rows: Vec<usize> = all.iter().copied().filter(|&row| parts[row] != part).collect();
         let without = engine.run(&rows, PAIRS_WITHOUT);
@@ -88,7 +90,7 @@ pub(crate) fn prediction(problem: &Problem, folds: &Folds) -> Option<Prediction>
     let later = later_from(groups).into_iter().filter(|first| *first > 0).map(|first| {
         let without = engine.run(&all[..first], PAIRS_WITHOUT);
         let of = |row: usize| without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
-        (first, (first..groups).map(|row| y[row] - of(row)).collect())
+        (first, (first..groups).map(|row| measured[row] - of(row)).collect())
     });
     Some(Prediction { model, foreseen: Foreseen { later: later.collect(), left } })
 }

@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     file::axis::LinearAxis,
-    file::read::Section,
+    file::{read::Section, spindle::ElongationSource},
     location::BadInput,
 };
 
@@ -275,7 +275,9 @@ impl Definition for ExtraHeatPath {
             with(of(false), Settings::none());
             with(of(true), survey.time_constants(TIME_CONSTANTS));
         }
-        if survey.varies(SPEED) && !survey.is_in_use(SPEED) {
+        // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.
+        let is_model = survey.elongates() && survey.source() == Some(ElongationSource::Warmup);
+        if survey.varies(SPEED) && !survey.is_in_use(SPEED) && !is_model {
             let mut slow = survey.time_constants(TIME_CONSTANTS);
             slow.starts.retain(|start| start[0] >= FASTEST_S);
             for (power, ..) in POWERS {

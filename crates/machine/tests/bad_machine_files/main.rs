@@ -59,7 +59,7 @@ fn the_machine_section_is_checked() {
             (
                 "[machine]\nname = \"a\"\nkind = \"3axis\"\n",
                 "3:8",
-                "\"head-table\", not \"3axis\"; did you mean 3-axis?",
+                "\"lathe\", not \"3axis\"; did you mean 3-axis?",
             ),
             ("[machines]\n", "1:2", "unknown key machines; did you mean machine?"),
             ("[machine]\nnaem = \"a\"\n", "2:1", "unknown key machine.naem; did you mean name?"),
@@ -97,7 +97,7 @@ fn the_inputs_are_checked() {
             (
                 "temp__c = {}\n",
                 "5:1",
-                "unknown key inputs.temp__c; the inputs are sensor and temp_<name>_c",
+                "unknown key inputs.temp__c; the inputs are sensor, temp_<name>_c, and any name with kind = \"condition\"",
             ),
             ("sensor = 1\n", "5:10", "inputs.sensor must be a table, not an integer"),
             ("sensor = {}\n", "5:1", "inputs.sensor.volts_full_scale is missing"),

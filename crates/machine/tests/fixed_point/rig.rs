@@ -83,7 +83,8 @@ impl<'c> Rig<'c> {
 
     /// Seed 002's chain, 16 counts a kelvin above 4000.
     pub fn heat_to(&mut self, channel: usize, celsius: f64) {
-        self.raw[channel] = Raw(((4_000.0 + 16.0 * celsius) * 256.0).round() as i32);
+        // With this divider 32768 counts are 4096 codes, of which 256ths are delivered.
+        self.raw[channel] = Raw(((4_000.0 + 16.0 * celsius) / 8.0 * 256.0).round() as i32);
     }
 }
 
@@ -92,7 +93,7 @@ pub fn machine_of(kind: &str, sections: &str) -> String {
     format!(
         "[machine]\nname = \"mill\"\nkind = {kind}\n[inputs]\n\
          sensor = {{ volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }}\n\
-         temp_x_c = {{ channel = 2, kind = \"linear\", zero_counts = 4000, counts_per_c = 16 }}\n\
+         temp_x_c = {{ channel = 2, kind = \"linear\", zero_counts = 4000, counts_per_c = 16, counts_full_scale = 32768, divider = 0.33 }}\n\
          [limits]\nmax_um = {{ x = 4000, y = 4000, z = 4000 }}\nslew_um_per_s = 10000\n{sections}"
     )
 }

@@ -233,7 +233,7 @@ fn a_tilt_and_heat_by_the_speed_come_back_and_what_is_without_a_meaning_is_refus
     assert_eq!(blob[terms..terms + 4], [13, 2, 0x20, 0]);
     assert_eq!(blob[terms + 24..terms + 28], [14, 2, 0x02, 15]);
     assert_eq!(blob[terms + 48..terms + 52], [15, 2, 2, 11]);
-    let of_heat = [(48, 16), (48 + 2, 0), (48 + 2, 3), (48 + 3, 63)];
+    let of_heat = [(48, 18), (48 + 2, 0), (48 + 2, 3), (48 + 3, 63)];
     let of_tilts = [(2, 0x30), (2, 0x03), (24 + 2, 0x03), (24 + 3, 1), (24 + 18, 99)];
     for (at, byte) in of_tilts.into_iter().chain(of_heat) {
         let mut bad = blob.clone();
