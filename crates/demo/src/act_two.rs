@@ -18,12 +18,14 @@ use crate::{
     Progress, bench,
     boards::{Boards, Started},
     hidden::{Hidden, causes},
-    play::{Pace, Played, SWEPT_C_PER_S, fastest_c_per_s, play},
+    play::{Pace, Played, most_faster, play},
     table::with_columns,
 };
 
 /// A shift takes so long on the board, in s: three of them are below ten minutes.
 const SHIFT_S: f64 = 180.0;
+/// And so long at the most, where a board would doubt its thermometers otherwise.
+const LONGEST_SHIFT_S: f64 = 195.0;
 /// From this quality on (hold, ramping out, fault) an offset is none.
 const FIRST_UNUSABLE: u8 = 4;
 
@@ -104,11 +106,13 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     let (source, _) = bench::connected(&plant.machine, &first)?;
     let mut notes = Vec::new();
     let times = first.require("time_s")?;
-    let shift = ((times[times.len() - 1] - times[0]) / SHIFT_S).ceil();
+    let span_s = times[times.len() - 1] - times[0];
+    let shift = (span_s / SHIFT_S).ceil();
     let second = hidden.record(1, false)?;
     // Not so fast that a board would doubt its thermometers.
-    let rate = fastest_c_per_s(&first)?.max(fastest_c_per_s(&second)?);
-    let faster = shift.min((SWEPT_C_PER_S / rate).floor()).max(1.0);
+    let least = (span_s / LONGEST_SHIFT_S).ceil();
+    let faster = shift.min(most_faster(&first)?).min(most_faster(&second)?).floor();
+    let faster = faster.max(least).max(1.0);
     let day = Day { boards, quantity, faster };
 
     let believed = bench::machine(&source, faster)?;

@@ -83,26 +83,28 @@ impl Written {
         let original = found.folds.left_out(on, &start(&on.data));
         let is_claimed =
             |kind: &Kind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
-        let is_own_model = |kind: &Kind| kind.tier() == 0;
-        let is_worth_more = |kind: &Kind| is_claimed(kind) || is_own_model(kind);
-        let is_shown = self.board.parts.iter().all(|part| {
-            let is_slow = part.kind.has_time_constant() && !on.is_short(part.values[0]);
-            !is_slow || is_worth_more(&part.kind)
-        });
-        let has_names = self.board.parts.iter().any(|part| is_worth_more(&part.kind));
-        let is_rival = |named: &[f64], predicted: &[f64]| {
-            // An open path of heat is worth no more than another one: it stays where it foresees better. A constant of the
-            // machine's own model is.
-            let is_beaten = is_better(named, predicted);
-            !is_beaten && (has_names || found.folds.paired(predicted, named).is_better())
+        // An open path of heat is worth no more than another one: it stays where it foresees better, and not at all where
+        // it settles more slowly than the record shows. What has a name, or is of the machine's own model, is.
+        let is_open_path =
+            |kind: &Kind| !is_claimed(kind) && kind.tier() > 0 && kind.heat_path().is_some();
+        let parts = &self.board.parts;
+        let has_names = parts.iter().any(|part| !is_open_path(&part.kind));
+        let is_shown =
+            parts.iter().all(|it| !it.kind.has_time_constant() || on.is_short(it.values[0]));
+        let named = folds.left_out_signed(on, &self.board, Clone::clone);
+        let is_rival = |predicted: &[f64]| {
+            if has_names {
+                !is_better(&named, predicted)
+            } else {
+                is_shown && found.folds.paired(predicted, &named).is_better()
+            }
         };
-        let named = is_shown.then(|| folds.left_out_signed(on, &self.board, Clone::clone));
         let room = MOST_TERMS.saturating_sub(problem.data.machine.terms.len());
         let prediction = prediction(on, &folds, &beside).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)
-                && !named.as_ref().is_some_and(|named| is_rival(named, &it.foreseen.left))
+                && !is_rival(&it.foreseen.left)
                 && Measured::new(on, runs).violated(on, &it.model).is_none()
                 && !is_worse(on, &it.model)
         });
