@@ -12,7 +12,7 @@
 //! tool        + m(tool)·f                condition + (m₀ + (m₁ − m₀)·lag_τ(s))·f
 //! ```
 //!
-//! f is 1, n², P, or the growth by the source's own law, and s is 1 while the condition holds ([`category`]).
+//! f is 1, n², P, or the growth by the source's own law, and s is 1 while the condition holds (`category`).
 //! A table or a curve of the position, and an angle, a gradient or a curve, times a [lever](Tilt) are added as well.
 //! Each also adds a constant. β is the fraction of the approach
 //! in the negative direction ([`travel`](crate::travel)). m is a number with its own binary point

@@ -8,8 +8,8 @@
 //! ```
 //!
 //! A change of [`CHANGE`]·σ moves e by δ = CHANGE·√((1 − ρ)/(1 + ρ)); k = δ/2 finds it soonest. ψ holds a reading to a bound, and one
-//! beyond [`GROSS`] standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
-//! and σ are those of the readings within [`GROSS`], so bad ones in the record of the calibration do not count either.
+//! beyond `GROSS` standard deviations counts only with the next one; h is above what any two can bring. A gross reading does not become d₋₁. Mean
+//! and σ are those of the readings within `GROSS`, so bad ones in the record of the calibration do not count either.
 
 mod advice;
 mod cusum;
