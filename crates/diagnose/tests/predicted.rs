@@ -76,7 +76,6 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
 
 /// Noise with a memory of ten rows goes with nothing: no thermometer that wanders too is written for it.
 #[test]
-#[ignore = "long: 40 diagnoses"]
 fn noise_with_a_memory_is_not_corrected() {
     let mut written = 0;
     for seed in 0..40 {
