@@ -85,7 +85,7 @@ impl Columns for Table<'_> {
             },
             Input::Position(axis) => whole(position(data, axis)),
             Input::Column(column) => whole(named(data, column).or_else(|| data.own_position())),
-            Input::Switch { column, lag_s } => {
+            Input::Lagged { column, lag_s } => {
                 let (time_s, values) = (whole(data.time_s.as_deref()), whole(named(data, column)));
                 let mut lag = Lag::default();
                 let rows = time_s.iter().zip(values.iter());

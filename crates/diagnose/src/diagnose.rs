@@ -19,11 +19,11 @@ use crate::{
     candidates::structure,
     data::{Data, Groups, first_of, quantity_of},
     fit::{Fitted, Problem, fit},
-    judge::judge,
+    judge::{Judgement, judge},
     kind::Part,
     model::Model,
     outliers::{self, SetAside},
-    search::{Found, lack_of_fit::with_curves, search, start},
+    search::{Breadth, Found, lack_of_fit::with_curves, search, start},
 };
 
 /// Groups that the search works on where there is time alone; rows beyond are averaged.
@@ -93,21 +93,12 @@ pub fn diagnose_for(
     notes.extend(test.iter().flat_map(|test| test.data.notes.iter().cloned()));
     notes.extend(seen_before(runs, holdout));
     // Repeats say before any cause is known which readings stand alone.
-    let mut aside = outliers::among_repeats(&data, &Model::default().predict(&data));
-    let (mut problem, mut found) = searched(&data, &aside, None, progress);
-    // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
-    // more, where fewer or others are seen then.
-    for _ in 0..2 {
-        let gross = gross_errors(&data, &problem, &found);
-        if gross == aside {
-            break;
-        }
-        aside = gross;
-        let known = found.fitted.model;
-        (problem, found) = searched(&data, &aside, Some(&known), progress);
+    let mut answer = answered(&data, Breadth::Composed, progress);
+    // What takes two inputs together is one of very many: it is the answer where it is claimed, else a simpler one is.
+    if answer.judged.iter().any(|it| it.cause().is_composed() && !it.doubts.is_empty()) {
+        answer = answered(&data, Breadth::Simple, progress);
     }
-    progress("comparing with rivals", 0.92);
-    let judged = judge(&problem, &found);
+    let Answered { problem, found, aside, judged } = answer;
     let known = outliers::judged(&data, &aside, || predictions(&data, &problem, &found));
     conclude(
         data,
@@ -117,6 +108,35 @@ pub fn diagnose_for(
         SetAside { rows: aside, known },
         Asked { runs, hold_out: test.as_ref(), matters_um, bridge: &bridge, notes },
     )
+}
+
+/// The answer of a search, judged.
+struct Answered {
+    problem: Problem,
+    found: Found,
+    /// Rows that stand alone.
+    aside: Vec<bool>,
+    judged: Vec<Judgement>,
+}
+
+/// Returns the answer of a search of this breadth, without the rows that stand alone.
+fn answered(data: &Arc<Data>, breadth: Breadth, progress: &mut Progress<'_>) -> Answered {
+    let mut aside = outliers::among_repeats(data, &Model::default().predict(data));
+    let (mut problem, mut found) = searched(data, &aside, None, breadth, progress);
+    // Gross errors are seen once the rest is explained; then the rest is searched without them. Once
+    // more, where fewer or others are seen then.
+    for _ in 0..2 {
+        let gross = gross_errors(data, &problem, &found);
+        if gross == aside {
+            break;
+        }
+        aside = gross;
+        let known = found.fitted.model;
+        (problem, found) = searched(data, &aside, Some(&known), breadth, progress);
+    }
+    progress("comparing with rivals", 0.92);
+    let judged = judge(&problem, &found);
+    Answered { problem, found, aside, judged }
 }
 
 /// What the answer predicts of each row, with curves over what it leaves and without: a law that no cause
@@ -140,6 +160,7 @@ fn searched(
     data: &Arc<Data>,
     aside: &[bool],
     known: Option<&Model>,
+    breadth: Breadth,
     progress: &mut Progress<'_>,
 ) -> (Problem, Found) {
     let used: Vec<bool> =
@@ -165,16 +186,17 @@ fn searched(
     };
     let Some((few, of_few)) = fewer else {
         let problem = Problem::new(data.clone(), groups());
-        let found = search(&problem, &start(data), known, progress);
+        let found = search(&problem, &start(data), known, breadth, progress);
         let wider = rows_of_a_slope(&problem, &found).filter(|_| !moves).and_then(|size| {
             let problem = Problem::new(data.clone(), Groups::new(data, &used, size));
-            let found = search(&problem, &start(data), Some(&found.fitted.model), progress);
+            let found =
+                search(&problem, &start(data), Some(&found.fitted.model), breadth, progress);
             found.fitted.model.parts.iter().any(is_late).then_some((problem, found))
         });
         return wider.unwrap_or((problem, found));
     };
     let problem = Problem::new(few, of_few);
-    let mut found = search(&problem, &start(data), known, progress);
+    let mut found = search(&problem, &start(data), known, breadth, progress);
     problem.forget();
     let whole = Problem::new(data.clone(), groups());
     let model = fit(&whole, &found.fitted.model, None).model;

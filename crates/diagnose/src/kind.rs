@@ -227,6 +227,11 @@ impl Kind {
         self.cause().is_some_and(Effect::is_wave)
     }
 
+    /// Whether it takes two recorded inputs together.
+    pub(crate) fn is_composed(&self) -> bool {
+        self.cause().is_some_and(Effect::is_composed)
+    }
+
     /// Whether it is the error of the reference instrument.
     pub(crate) fn is_of_instrument(&self) -> bool {
         self.cause().is_some_and(|effect| effect.is_of_instrument())

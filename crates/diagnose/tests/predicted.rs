@@ -71,7 +71,7 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
         let is_of_it = |it: &String| it.starts_with("Chosen for prediction");
         predicted += report.findings.iter().filter(|it| it.evidence.iter().any(is_of_it)).count();
     }
-    assert!(predicted > 1, "each record has told all names");
+    assert!(predicted > 1, "each record has told all names: {predicted}");
 }
 
 /// Noise with a memory of ten rows goes with nothing: no thermometer that wanders too is written for it.

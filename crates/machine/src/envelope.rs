@@ -174,7 +174,7 @@ fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
     let mut values: Vec<(&str, f64)> = Vec::new();
     for term in &machine.terms {
         let column = match term.effect.reads().first() {
-            Some(&(Input::Column(column) | Input::Switch { column, .. })) => column,
+            Some(&(Input::Column(column) | Input::Lagged { column, .. })) => column,
             _ => continue,
         };
         let largest = term.effect.on_board().first().and_then(OnBoard::at_largest);

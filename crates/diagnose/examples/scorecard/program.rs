@@ -79,6 +79,13 @@ pub fn run(words: &[String]) -> ExitCode {
     ExitCode::from(u8::from(!are_all_answered))
 }
 
+/// Returns the columns of a finding without a physical name.
+fn columns(finding: &Value) -> Vec<String> {
+    let both = finding["columns"].as_array().into_iter().flatten();
+    let all = both.chain([&finding["column"], &finding["where"]["column"]]);
+    all.filter_map(|it| it.as_str().map(String::from)).collect()
+}
+
 /// What `program` says of the files of `challenge`.
 fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
@@ -100,6 +107,7 @@ fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
     let each = |value: &Value| value.as_array().cloned().unwrap_or_default();
     let findings = each(&said["findings"]).into_iter().map(|finding| Named {
         cause: text(&finding["cause"]),
+        columns: columns(&finding),
         is_claimed: finding["claimed"] == true,
         partners: each(&finding["together_with"]).iter().map(|it| text(&it["cause"])).collect(),
     });

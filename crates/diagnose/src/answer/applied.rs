@@ -257,6 +257,7 @@ fn finding(factor: Factor, data: &Data, after: &[f64], offset_um: &[f64]) -> Fin
         column: None,
         form: None,
         times: None,
+        within: None,
         columns: None,
         claimed: true,
         compensated: false,

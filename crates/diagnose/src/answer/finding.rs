@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use trueup_machine::effect::{Dependence, Effect, Value as Entry};
+use trueup_machine::effect::{Dependence, Effect, Side, Value as Entry, Within};
 use trueup_numerics::blocks::rms;
 use trueup_page::micrometres;
 
@@ -12,7 +12,7 @@ use crate::{
         errors::errors,
         next::next,
         not_written::NotWritten,
-        report::{Finding, Partner, Rival},
+        report::{Finding, Partner, Range, Rival},
     },
     blocks::Unit,
     data::Data,
@@ -72,6 +72,7 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
         form: dependence(cause).map(Dependence::form_name),
         times: dependence(cause).and_then(|it| it.times.name()).map(String::from),
         columns: dependence(cause).and_then(columns),
+        within: cause.cause().and_then(Effect::within).map(|it| within(problem, it)),
         claimed: it.doubts.is_empty(),
         compensated: cause.is_compensated() && it.is_kept,
         confidence: (it.confidence() * 1e4).round() / 1e4,
@@ -87,15 +88,33 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
 
 /// The page of a dependence on a column, where the cause is one.
 fn dependence(cause: &Kind) -> Option<&Dependence> {
-    match cause.cause() {
-        Some(Effect::Dependence(page)) => Some(page),
+    let effect = cause.cause()?;
+    match effect.within().map_or(effect, |within| &within.effect) {
+        Effect::Dependence(page) => Some(page),
         _ => None,
     }
 }
 
-/// The two columns of a product.
+/// The range in which a cause acts: the bound lies between two values of the record.
+fn within(problem: &Problem, it: &Within) -> Range {
+    let values = crate::columns::named(&problem.data, &it.column).unwrap_or(&[]);
+    let below =
+        values.iter().copied().filter(|value| *value < it.bound).fold(f64::NEG_INFINITY, f64::max);
+    let above =
+        values.iter().copied().filter(|value| *value > it.bound).fold(f64::INFINITY, f64::min);
+    let bound = |side| (it.side == side).then_some(it.bound);
+    Range {
+        column: it.column.clone(),
+        above: bound(Side::Above),
+        below: bound(Side::Below),
+        ci95: [below, above],
+    }
+}
+
+/// The two columns of a difference or a product.
 fn columns(page: &Dependence) -> Option<[String; 2]> {
-    page.times.column().map(|second| [page.column.clone(), second.to_string()])
+    let second = page.minus.as_deref().or(page.times.column());
+    second.map(|second| [page.column.clone(), second.to_string()])
 }
 
 /// Findings of the terms `judged`, in their order, as one where two are only certain together: under the
@@ -372,6 +391,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
         column: None,
         form: None,
         times: None,
+        within: None,
         columns: None,
         claimed: true,
         compensated: false,

@@ -159,6 +159,7 @@ pub(super) fn findings(
             column: own.column.clone(),
             form: None,
             times: None,
+            within: None,
             columns: None,
             claimed: false,
             compensated: true,

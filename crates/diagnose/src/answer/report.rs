@@ -240,6 +240,21 @@ impl Verdict {
     }
 }
 
+/// A range of a column.
+#[derive(Clone, Debug, Serialize)]
+pub struct Range {
+    /// The column.
+    pub column: String,
+    /// Above this value, in the column's unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub above: Option<f64>,
+    /// Or below this one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub below: Option<f64>,
+    /// Values of the record between which the bound lies.
+    pub ci95: [f64; 2],
+}
+
 /// One cause.
 #[derive(Clone, Debug, Serialize)]
 pub struct Finding {
@@ -248,15 +263,18 @@ pub struct Finding {
     /// The column that it hangs on, where there is a choice.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub column: Option<String>,
-    /// Of a `dependence`: `level`, `line` or `hinge`.
+    /// Of a `dependence`: `level`, `line`, `hinge` or `curve`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form: Option<&'static str>,
     /// Of a `dependence`: what it is multiplied by.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub times: Option<String>,
-    /// Of a `dependence` on the product of two columns: both.
+    /// Of a `dependence` on the difference or the product of two columns: both.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub columns: Option<[String; 2]>,
+    /// The range in which alone it acts.
+    #[serde(rename = "where", skip_serializing_if = "Option::is_none")]
+    pub within: Option<Range>,
     /// Whether the data tell it from all other causes.
     pub claimed: bool,
     /// Whether the board corrects it.
@@ -302,7 +320,7 @@ pub struct Rival {
     /// Its column.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub column: Option<String>,
-    /// Of a `dependence`: `level`, `line` or `hinge`.
+    /// Of a `dependence`: `level`, `line`, `hinge` or `curve`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub form: Option<&'static str>,
     /// How much worse its score is (a difference of BIC).

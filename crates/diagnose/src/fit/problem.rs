@@ -230,7 +230,8 @@ impl Problem {
         };
         let is_at_end = |(value, what): (&f64, &Nonlinear)| match what {
             Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant => {
-                *value > (1.0 - NEAR) * self.bounds.time_constant_s[1]
+                let own_s = limits_of(part).is_some_and(|[low, _]| *value < (1.0 + NEAR) * low);
+                own_s || *value > (1.0 - NEAR) * self.bounds.time_constant_s[1]
             }
             Nonlinear::Period => {
                 let [low, high] = self.bounds.period_mm;
@@ -240,10 +241,7 @@ impl Problem {
             Nonlinear::Late => *value > (1.0 - NEAR) * self.bounds.late_s[1],
             Nonlinear::Shift => value.abs() > (1.0 - NEAR) * self.bounds.shift_s[1],
             Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => false,
-            Nonlinear::Bend => {
-                let limits = part.kind.cause().and_then(|cause| cause.nonlinear_limits());
-                limits.is_some_and(|limits| is_near(*value, limits))
-            }
+            Nonlinear::Bend => limits_of(part).is_some_and(|limits| is_near(*value, limits)),
         };
         let limits = part.kind.cause().and_then(|cause| cause.amplitude_limits());
         part.values.iter().zip(nonlinear).any(is_at_end)
@@ -270,9 +268,13 @@ impl Problem {
         let held = |value: &mut f64, [low, high]: [f64; 2]| *value = value.clamp(low, high);
         for part in &mut model.parts {
             let nonlinear = part.kind.nonlinear();
+            let own = limits_of(part);
             for (value, what) in part.values.iter_mut().zip(nonlinear) {
                 match what {
-                    Nonlinear::TimeConstant => held(value, self.bounds.time_constant_s),
+                    Nonlinear::TimeConstant => {
+                        held(value, self.bounds.time_constant_s);
+                        own.into_iter().for_each(|limits| held(value, limits));
+                    }
                     Nonlinear::FallingTimeConstant => {
                         if let Some(rise_s) = rise_s {
                             held(value, [rise_s / ALIKE, ALIKE * rise_s]);
@@ -283,10 +285,7 @@ impl Problem {
                     Nonlinear::Late => held(value, self.bounds.late_s),
                     Nonlinear::Limit => held(value, self.bounds.prediction_um),
                     Nonlinear::Period => held(value, self.bounds.period_mm),
-                    Nonlinear::Bend => {
-                        let limits = part.kind.cause().and_then(|cause| cause.nonlinear_limits());
-                        limits.into_iter().for_each(|limits| held(value, limits));
-                    }
+                    Nonlinear::Bend => own.into_iter().for_each(|limits| held(value, limits)),
                     Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
                 }
             }
@@ -295,6 +294,11 @@ impl Problem {
             }
         }
     }
+}
+
+/// Returns the range of a part's only nonlinear value, where its page knows it.
+fn limits_of(part: &Part) -> Option<[f64; 2]> {
+    part.kind.cause().and_then(|cause| cause.nonlinear_limits())
 }
 
 /// The latest that a thermometer on a machine is, in s. A sheathed one in still air has shown nine tenths of a

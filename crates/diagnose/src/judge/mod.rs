@@ -69,6 +69,7 @@ use crate::{
     parameters::{Estimates, estimates},
     search::{
         Added, Found,
+        composed::alone_over_a_column,
         criterion::{STRONG_EVIDENCE, bic},
         extend::{replacements, without},
         lack_of_fit::Inputs,
@@ -153,6 +154,19 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     judged
 }
 
+/// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what takes
+/// two inputs together.
+fn alone_does_as_well(case: &Case<'_>, cause: &Kind) -> Option<Kind> {
+    if !cause.is_composed() {
+        return None;
+    }
+    let alone = alone_over_a_column(case.problem, &case.found.fitted, [cause]);
+    let other = alone.into_iter().filter(|it| !case.found.fitted.model.has(&it.cause));
+    let near = other
+        .filter(|it| it.cause.name() != cause.name() && case.bic_gap(&it.fitted) < STRONG_EVIDENCE);
+    near.min_by(|a, b| a.bic.total_cmp(&b.bic)).map(|it| it.cause)
+}
+
 /// None where the term is no part of the answer any more.
 fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let Case { problem, found, .. } = *case;
@@ -167,6 +181,9 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
     doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
+    if doubts.is_empty() {
+        doubts.extend(alone_does_as_well(case, cause).map(Doubt::Rival));
+    }
     doubts.extend(table_beside(case, part).map(Doubt::BesideTable));
     let repeated = repeated(case, cause);
     match &repeated {

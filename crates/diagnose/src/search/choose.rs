@@ -71,8 +71,11 @@ impl<'s> Baseline<'s> {
         let left_out = self.folds.left_out(self.search.problem, &fitted.model);
         let left_out_um = rms(&left_out);
         let reduction = self.folds.reduction(&self.left_out, &left_out);
-        let is_relevant = rms(&self.left_out) - left_out_um > self.search.relevant_um;
-        let is_gain = reduction.is_gain && is_relevant;
+        let before_um = rms(&self.left_out);
+        let is_relevant = before_um - left_out_um > self.search.relevant_um;
+        // What is one of very many must foresee better by more than what counts as equal.
+        let is_clear = !cause.is_composed() || EQUAL_PREDICTION * left_out_um < before_um;
+        let is_gain = reduction.is_gain && is_relevant && is_clear;
         Assessed { cause, fitted, bic, left_out, left_out_um, reduction, is_gain }
     }
 
@@ -161,7 +164,11 @@ fn pair_with_the_first(
 ) -> Option<Taken> {
     let (search, first) = (baseline.search, &all[0]);
     let is_relevant = search.fitted.rms() - first.fitted.rms() > search.relevant_um;
-    if first.is_gain || !is_relevant || first.bic >= search.bic() - STRONG_EVIDENCE {
+    if first.is_gain
+        || !is_relevant
+        || first.cause.is_composed()
+        || first.bic >= search.bic() - STRONG_EVIDENCE
+    {
         return None;
     }
     partners(search.problem, &first.fitted, tier).into_iter().find_map(|partner| {

@@ -5,11 +5,12 @@ use trueup_numerics::{blocks::rms, least_squares::normal::solve, parallel::on_al
 use trueup_machine::effect::Effect;
 
 use crate::{
-    candidates::{Candidate, possible},
+    candidates::{Candidate, possible, with_composed},
     fit::{Fitted, Problem, fit},
-    kind::Kind,
+    kind::{Kind, Part},
     model::Model,
     search::{
+        composed::with_best_bound,
         criterion::bic,
         scan::{Draw, Hit, scan},
     },
@@ -96,7 +97,8 @@ pub(crate) fn fit_hits(
         if hit.part.kind.has_instant() {
             fitted = refine_step(problem, fitted);
         }
-        Extension::new(problem, hit.part.kind.clone(), fitted)
+        let (fitted, kind) = with_best_bound(problem, &hit.part.kind, fitted);
+        Extension::new(problem, kind, fitted)
     })
 }
 
@@ -108,7 +110,13 @@ pub(crate) fn replacements(
     most: usize,
 ) -> Replacements {
     let reduced = fit(problem, &without(problem, &fitted.model, cause), None);
-    let instead = with_each_cause(problem, &reduced, most, |other| other != cause);
+    // Of two that do as well the one that takes fewer inputs is the answer.
+    let mut candidates = match cause.is_composed() {
+        true => with_composed(problem, &reduced.model, &reduced.residual),
+        false => possible(problem, &reduced.model, &reduced.residual),
+    };
+    candidates.retain(|candidate| candidate.kind != *cause);
+    let instead = extensions(problem, &reduced, &candidates, most);
     Replacements { without: reduced, instead }
 }
 
@@ -147,9 +155,17 @@ fn with(model: &Model, hit: &Hit) -> Model {
     if hit.with_constant {
         with.constant_um = Some(0.0);
     }
+    // The zero of what is read together with another input is arbitrary, and a parameter of it.
+    let is_constant = |part: &Part| part.kind.cause().is_some_and(Effect::is_constant);
+    if hit.part.kind.is_composed()
+        && hit.part.kind.has_reference()
+        && model.parts.iter().any(is_constant)
+    {
+        with.constant_um = with.constant_um.or(Some(0.0));
+    }
     if with.constant_um.is_some() {
         // A zero of its own is in the constant now.
-        with.parts.retain(|part| !part.kind.cause().is_some_and(Effect::is_constant));
+        with.parts.retain(|part| !is_constant(part));
     }
     with.sort();
     with

@@ -16,6 +16,7 @@
 //! | `state` | the model in work, its terms, what was rejected and why |
 //! | `choose` | which extension is taken |
 //! | `table` | a table that was measured several times, judged by its repeats |
+//! | `composed` | bounds of ranges, and differences of two temperatures |
 //! | `float` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplify` | what is made simpler at the end |
@@ -25,6 +26,7 @@
 //! that predicts left-out blocks better, and the machine's own model and sensors come before others.
 
 mod choose;
+pub(crate) mod composed;
 pub(crate) mod criterion;
 pub(crate) mod extend;
 mod float;
@@ -41,13 +43,14 @@ use trueup_numerics::noise::Noise;
 
 use crate::{
     blocks::Folds,
-    candidates::{possible, structure},
+    candidates::{possible, structure, with_composed},
     data::Data,
     fit::{Fitted, Problem},
     kind::Part,
     model::Model,
 };
 use choose::{Choice, Taken, choose, pair_from_nothing};
+use composed::alone_over_a_column;
 use criterion::{degrees, noise_of};
 use extend::fit_hits;
 use lack_of_fit::{Inputs, LackOfFit};
@@ -60,13 +63,22 @@ const MOST_TERMS: usize = 8;
 /// A lack of fit that is told would be so many terms' worth.
 const LACK_OF_FIT: f64 = 2.0;
 /// Most rounds: one for each term, and as many as find nothing.
-const MOST_ROUNDS: usize = MOST_TERMS + 7;
+const MOST_ROUNDS: usize = MOST_TERMS + 8;
 /// How often the search begins again after a term was given up.
 const MOST_RETURNS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
 const MOST_FITTED: usize = 10;
 /// Groups times fitted values up to which several terms ahead are looked at: it is many fits.
 const MOST_WORK_AHEAD: usize = 40_000;
+
+/// How far a search goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Breadth {
+    /// One recorded input a term, and products.
+    Simple,
+    /// Also what takes two inputs together.
+    Composed,
+}
 
 /// The outcome.
 pub(crate) struct Found {
@@ -93,9 +105,10 @@ pub(crate) fn search(
     problem: &Problem,
     start: &Model,
     known: Option<&Model>,
+    breadth: Breadth,
     progress: &mut dyn FnMut(&str, f64),
 ) -> Found {
-    let mut search = Search::new(problem, start);
+    let mut search = Search::new(problem, start, breadth);
     let mut no_gain = search.add_terms(progress);
     // A few rows more or less may let a search stop short of what another one has found.
     if known.is_some_and(|known| search.recall(known)) {
@@ -143,7 +156,8 @@ impl Search<'_> {
 
     /// Scans what may be tried now, and takes the best if it is worth it.
     fn round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Round {
-        let mut candidates = possible(self.problem, &self.fitted.model, &self.fitted.residual);
+        let all = if self.stage == Stage::Composed { with_composed } else { possible };
+        let mut candidates = all(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
             self.stage.admits(&candidate.kind)
                 && !self.rejected.iter().any(|tried| tried.cause == candidate.kind)
@@ -153,7 +167,14 @@ impl Search<'_> {
         let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);
         let is_open = |hit: &&Hit| self.is_open(hit);
         let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
-        let options = fit_hits(self.problem, &self.fitted, &hits, MOST_FITTED);
+        let mut options = fit_hits(self.problem, &self.fitted, &hits, MOST_FITTED);
+        if self.stage == Stage::Composed {
+            let causes = self.added.iter().map(|it| &it.cause);
+            let alone = alone_over_a_column(self.problem, &self.fitted, causes);
+            let bic = self.bic();
+            options.extend(alone.into_iter().filter(|it| it.bic < bic));
+            options.retain(|it| !self.takes_back(it));
+        }
         match choose(self, options, tier, progress) {
             Choice::Take(taken) => {
                 self.take(taken, &hits);
@@ -188,7 +209,7 @@ impl Search<'_> {
     }
 
     /// What to try after a round that took none of `tried`: two causes that hide each other, the next
-    /// stage, sharper limits, two terms ahead; in this order.
+    /// stage, sharper limits, two terms ahead, what takes two inputs together; in this order.
     fn widen(
         &mut self,
         scanned: Scan,
@@ -238,6 +259,11 @@ impl Search<'_> {
                 self.try_all_again();
                 return Round::Widened;
             }
+        }
+        // Many candidates, any of which may imitate a simple one: last.
+        if self.stage != Stage::Composed && self.breadth == Breadth::Composed {
+            self.stage = Stage::Composed;
+            return Round::Widened;
         }
         Round::Exhausted(scanned.hits)
     }

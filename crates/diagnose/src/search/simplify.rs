@@ -24,6 +24,7 @@ impl Search<'_> {
     pub(crate) fn simplify(&mut self) -> bool {
         let given_up = self.given_up.len();
         self.lag_for_a_term();
+        self.difference_for_two_paths();
         self.table_for_both_ways();
         self.laws_for_a_table();
         self.unstack();

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use trueup_machine::effect::{Effect, HeatPath};
+
 use crate::{
     blocks::{Folds, Unit},
     fit::{Fitted, Problem, fit},
@@ -9,6 +11,7 @@ use crate::{
     kind::Kind,
     model::Model,
     search::{
+        Breadth,
         criterion::{bic, left_out_um},
         extend::{Extension, Replacements, replacements, without},
         scan::Draw,
@@ -24,6 +27,7 @@ pub(crate) struct Search<'p> {
     pub fitted: Fitted,
     /// Its terms, in the order in which they were added.
     pub added: Vec<Added>,
+    pub breadth: Breadth,
     pub stage: Stage,
     /// How the limits of the scan are drawn.
     pub limits: Draw,
@@ -50,24 +54,32 @@ pub(crate) enum Stage {
     ActsAtOnce,
     /// Time alone, and what acts late.
     All,
+    /// What takes two recorded inputs together: the difference of two, or a range of one.
+    Composed,
 }
 
 impl Stage {
     pub(crate) fn admits(self, cause: &Kind) -> bool {
-        let is_late = cause.heat_path().is_some_and(|path| path.has_lag && !path.is_second);
+        let of_path = |path: HeatPath<'_>| path.has_lag && !path.is_second;
+        let is_late = match cause.heat_path() {
+            Some(path) => of_path(path),
+            None => {
+                matches!(cause.cause(), Some(Effect::Dependence(_))) && cause.has_time_constant()
+            }
+        };
         match self {
             Self::OwnModel => cause.tier() == 0,
             Self::ActsAtOnce => cause.tier() == 0 || cause.tier() <= 1 && !is_late,
-            Self::All => true,
+            Self::All | Self::Composed => true,
         }
     }
 
-    /// None after the last.
+    /// Returns the next one; none after the last that is tried before all else is.
     pub(crate) fn next(self) -> Option<Self> {
         match self {
             Self::OwnModel => Some(Self::ActsAtOnce),
             Self::ActsAtOnce => Some(Self::All),
-            Self::All => None,
+            Self::All | Self::Composed => None,
         }
     }
 }
@@ -121,7 +133,7 @@ impl fmt::Display for WhyNot {
 pub(crate) const RELEVANT: f64 = 0.01;
 
 impl<'p> Search<'p> {
-    pub(crate) fn new(problem: &'p Problem, start: &Model) -> Self {
+    pub(crate) fn new(problem: &'p Problem, start: &Model, breadth: Breadth) -> Self {
         let fitted = fit(problem, start, None);
         Self {
             problem,
@@ -130,6 +142,7 @@ impl<'p> Search<'p> {
             relevant_um: RELEVANT * fitted.rms(),
             fitted,
             added: Vec::new(),
+            breadth,
             stage: Stage::OwnModel,
             limits: Draw::Robust,
             rejected: Vec::new(),

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
-use trueup_diagnose::{Diagnosis, Verdict, diagnose};
+use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_twin::hidden::{Challenge, Expected, Hidden, Truth};
 
@@ -113,6 +113,8 @@ pub struct Told {
 /// A finding of it.
 pub struct Named {
     pub cause: String,
+    /// The columns that it depends on, where it has no physical name.
+    pub columns: Vec<String>,
     pub is_claimed: bool,
     /// Causes that are only certain together with it.
     pub partners: Vec<String>,
@@ -122,10 +124,23 @@ impl Told {
     fn of(diagnosis: &Diagnosis) -> Self {
         let findings = diagnosis.report.findings.iter().map(|finding| Named {
             cause: finding.cause.clone(),
+            columns: columns(finding),
             is_claimed: finding.claimed,
             partners: finding.together_with.iter().map(|partner| partner.cause.clone()).collect(),
         });
         Self { verdict: diagnosis.report.verdict.name().into(), findings: findings.collect() }
+    }
+
+    /// Whether a finding says without a physical name what a law without one depends on.
+    fn is_of_unnamed(it: &Named, truth: &Truth) -> bool {
+        let inputs: Vec<&str> = truth
+            .effects
+            .iter()
+            .flat_map(|effect| effect.cause.unnamed_inputs())
+            .copied()
+            .collect();
+        let is_input = |column: &String| inputs.contains(&column.as_str());
+        it.cause == "dependence" && !it.columns.is_empty() && it.columns.iter().all(is_input)
     }
 
     /// Whether every hidden cause is named as it may be.
@@ -157,9 +172,12 @@ impl Told {
                 let wanders = truth.noise_rho > 0.0 && self.verdict == Verdict::Unexplained.name();
                 self.verdict == Verdict::Clean.name() || wanders
             }
-            Expected::Unnamed => [Verdict::Unexplained, Verdict::PartlyExplained]
-                .iter()
-                .any(|it| it.name() == self.verdict),
+            Expected::Unnamed => {
+                let is_of_it = |it: &Named| it.is_claimed && Self::is_of_unnamed(it, truth);
+                let is_open = [Verdict::Unexplained, Verdict::PartlyExplained];
+                is_open.iter().any(|it| it.name() == self.verdict)
+                    || self.findings.iter().any(is_of_it)
+            }
             Expected::Compensated | Expected::Reported => {
                 answers.iter().all(|name| is_claimed(name) || rivals(name) || together(name))
             }
@@ -170,8 +188,16 @@ impl Told {
     pub fn is_wrong(&self, truth: &Truth) -> bool {
         let is_hidden =
             |name: &str| truth.effects.iter().any(|effect| effect.cause.answer() == name);
-        self.findings.iter().any(|it| it.is_claimed && !is_hidden(&it.cause))
+        let is_true = |it: &Named| is_hidden(&it.cause) || Self::is_of_unnamed(it, truth);
+        self.findings.iter().any(|it| it.is_claimed && !is_true(it))
     }
+}
+
+/// Returns the columns of a finding without a physical name.
+fn columns(finding: &Finding) -> Vec<String> {
+    let both = finding.columns.iter().flatten().chain(&finding.column);
+    let range = finding.within.iter().map(|range| &range.column);
+    both.chain(range).cloned().collect()
 }
 
 /// What `diagnosis` is worth, by the truth of `challenge`.

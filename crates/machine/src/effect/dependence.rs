@@ -1,34 +1,40 @@
 //! `dependence`: an error that depends on a recorded input by no law that has a physical name.
 //!
 //! ```text
-//! level   p + aₖ·f where the column is level k           an unseen level adds `level_default`, else 0;
-//!                                                        a switch (0, 1) may act behind a lag
+//! level   p + aₖ·f where x is level k                    an unseen level adds `level_default`, else 0
 //! line    p + c·(x − x₀)·f                                goes on outside the fitted range
 //! hinge   p + c·max(0, x − from)·f                        goes on outside the fitted range
+//! curve   p + straight lines through (atₖ, aₖ)            holds its end values
+//! x       a column, or the difference of two temperatures; of a switch (0, 1) and of a line behind a lag
 //! f       1, (n/1000)², P/1000 of the own axis, the growth by the sensor's own law (elongation only), or y − y₀ of a
 //!         second column, a temperature or the load
 //! ```
 //!
-//! x is the value of a column that no other cause reads: a pressure, a flow, a switch, a tool number. The CNC
-//! sends a board the tool and its switches: levels of these are compensated ([`Form::Level`]). What no board
-//! reads explains and is not compensated.
+//! The column is one that no other cause reads: a pressure, a flow, a switch, a tool number; of a hinge, a curve or a
+//! difference also a temperature. The CNC sends a board the tool and its switches: levels of these are compensated
+//! ([`Form::Level`]), and so is a difference, as heat of two thermometers. All else explains and is not compensated.
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value, number,
+        Definition, Entry, Heat, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value,
+        minutes,
     },
-    survey::{Settings, Survey, spread},
+    survey::{Settings, Survey},
 };
 use crate::{
-    file::{LinearAxis, read::Section, spindle::ElongationSource},
-    tool::TOOL_COLUMN,
+    file::{LinearAxis, is_temperature_column, read::Section},
     location::BadInput,
 };
 use board::{Levels, by_category, levels_of};
+use propose::propose;
+use read::read;
+pub(super) use times::SPEED;
 use times::LOAD;
-use values::{SWITCH, bends, first, levels, tools, zero_of};
+use values::SWITCH;
 
 mod board;
+mod propose;
+mod read;
 mod times;
 mod values;
 
@@ -43,8 +49,6 @@ pub enum Form {
         added: Vec<f64>,
         /// a of every other value.
         otherwise: f64,
-        /// Time constant in s by which a switch acts; 0 of all else.
-        lag_s: f64,
     },
     /// Proportional to the column.
     Line {
@@ -62,6 +66,18 @@ pub enum Form {
         /// Range of `from` in a search.
         range: [f64; 2],
     },
+    /// The same everywhere, in a range of the column ([`Within`](crate::effect::Within)).
+    Constant {
+        /// a, in µm.
+        added: f64,
+    },
+    /// A value at some places, straight lines between them; the first adds nothing.
+    Curve {
+        /// Values of the column, rising.
+        at: Vec<f64>,
+        /// a there, in µm.
+        added: Vec<f64>,
+    },
 }
 
 /// A dependence on a column.
@@ -69,6 +85,10 @@ pub enum Form {
 pub struct Dependence {
     /// The column.
     pub column: String,
+    /// The column that is taken away from it: the other one of two temperatures.
+    pub minus: Option<String>,
+    /// Time constant in s by which it acts; 0: at once.
+    pub lag_s: f64,
     /// How the error depends on it.
     pub form: Form,
     /// What the dependence is multiplied by.
@@ -76,14 +96,68 @@ pub struct Dependence {
 }
 
 impl Dependence {
+    /// Returns a line over a column that adds nothing.
+    pub(super) fn of(column: &str) -> Self {
+        let form = Form::Line { slope: 0.0, reference: 0.0 };
+        Self { column: column.into(), minus: None, lag_s: 0.0, form, times: Times::One }
+    }
+
     /// The name of the form in files.
     #[must_use]
     pub fn form_name(&self) -> &'static str {
         match self.form {
-            Form::Level { .. } => "level",
+            Form::Level { .. } | Form::Constant { .. } => "level",
             Form::Line { .. } => "line",
             Form::Hinge { .. } => "hinge",
+            Form::Curve { .. } => "curve",
         }
+    }
+
+    /// Whether it takes two inputs together, or bends or lags behind one so that it imitates other laws.
+    pub(super) fn is_composed(&self) -> bool {
+        let has_laws = self.column == SPEED || is_temperature_column(&self.column);
+        let is_late_line = self.has_lag() && matches!(self.form, Form::Line { .. });
+        self.minus.is_some() || has_laws || is_late_line
+    }
+
+    fn has_lag(&self) -> bool {
+        self.lag_s != 0.0
+    }
+
+    /// Returns its nonlinear value, but for that of a hinge.
+    fn first_value(&self) -> Option<f64> {
+        match self.times {
+            Times::Column { reference, .. } if self.times.open_range().is_some() => Some(reference),
+            _ => self.has_lag().then_some(self.lag_s),
+        }
+    }
+
+    /// Returns what is read of a column that it depends on.
+    fn subject<'a>(&self, column: &'a str, lag_s: f64) -> Input<'a> {
+        match (column, lag_s) {
+            (SPEED, _) => Input::Speed,
+            (LOAD, _) => Input::Load,
+            _ if is_temperature_column(column) => Input::Temperature { column, lag_s },
+            (_, 0.0) => Input::Column(column),
+            _ => Input::Lagged { column, lag_s },
+        }
+    }
+
+    /// Returns its heat by two thermometers, where it is their difference.
+    fn of_two(&self) -> Option<[OnBoard; 2]> {
+        /// The reference of the second thermometer, in °C; any would do.
+        const REFERENCE_C: f64 = 20.0;
+        let (Form::Line { slope, reference }, Some(minus), Times::One) =
+            (&self.form, &self.minus, &self.times)
+        else {
+            return None;
+        };
+        let of = |column: &String, um_per_c: f64, reference_c: f64| {
+            let column = column.clone();
+            OnBoard::Heat(Heat { column, um_per_c, time_constant_s: self.lag_s, reference_c })
+        };
+        let first = of(&self.column, *slope, REFERENCE_C + reference);
+        Some([first, of(minus, -slope, REFERENCE_C)])
     }
 
     /// How many levels, from the first on, have no amplitude: a constant could not be told from theirs.
@@ -100,17 +174,20 @@ impl Dependence {
 
     /// Returns what it is on a board, if a board runs it.
     fn by_category(&self) -> Option<OnBoard> {
-        let Form::Level { levels, otherwise, lag_s, .. } = &self.form else { return None };
+        let Form::Level { levels, otherwise, .. } = &self.form else { return None };
         let of = |level: f64| (level, self.level(level));
-        by_category(&self.column, &self.times, levels, of, [*otherwise, *lag_s])
+        by_category(&self.column, &self.times, levels, of, [*otherwise, self.lag_s])
     }
 
-    fn factor(&self, x: &[f64]) -> f64 {
-        match (&self.times, x.get(1)) {
+    fn factor(&self, nonlinear: &[f64], x: Option<&f64>) -> f64 {
+        match (&self.times, x) {
             (Times::Speed2, Some(rpm)) => (rpm / 1000.0).powi(2),
             (Times::Position, Some(mm)) => mm / 1000.0,
             (Times::Growth, Some(um)) => *um,
-            (Times::Column { reference, .. }, Some(value)) => value - reference,
+            (Times::Column { reference, range, .. }, Some(value)) => {
+                let fitted = nonlinear.first().filter(|_| range[0] < range[1]);
+                value - fitted.unwrap_or(reference)
+            }
             _ => 1.0,
         }
     }
@@ -123,17 +200,17 @@ impl Page for Dependence {
             ("column", Value::Text(self.column.clone())),
             ("form", Value::Text(self.form_name().into())),
         ];
+        entries.extend(self.minus.clone().map(|column| ("minus", Value::Text(column))));
         entries.extend(self.times.name().map(|name| ("times", Value::Text(name.into()))));
         if let Times::Column { reference, .. } = self.times {
             entries.push(("times_reference", Value::Number(reference)));
         }
         match &self.form {
-            Form::Level { levels, added, otherwise, lag_s } => {
+            Form::Level { levels, added, otherwise } => {
                 entries.push(("levels", Value::Numbers(levels.clone())));
                 entries.push((level_key, Value::Numbers(added.clone())));
-                for (key, value) in [("level_default", *otherwise), ("lag_s", *lag_s)] {
-                    entries.extend((value != 0.0).then_some((key, Value::Number(value))));
-                }
+                let other = ("level_default", Value::Number(*otherwise));
+                entries.extend((*otherwise != 0.0).then_some(other));
             }
             Form::Line { slope, reference } => {
                 entries.push((slope_key, Value::Number(*slope)));
@@ -143,7 +220,13 @@ impl Page for Dependence {
                 entries.push((slope_key, Value::Number(*slope)));
                 entries.push(("from", Value::Number(*from)));
             }
+            Form::Constant { added } => entries.push((level_key, Value::Numbers(vec![*added]))),
+            Form::Curve { at, added } => {
+                entries.push(("at", Value::Numbers(at.clone())));
+                entries.push(("curve_um", Value::Numbers(added.clone())));
+            }
         }
+        entries.extend(self.has_lag().then_some(("lag_s", Value::Number(self.lag_s))));
         entries
     }
 
@@ -156,62 +239,92 @@ impl Page for Dependence {
     }
 
     fn is_compensated(&self) -> bool {
-        self.by_category().is_some()
+        !self.on_board().is_empty()
     }
 
     fn on_board(&self) -> Vec<OnBoard> {
-        self.by_category().into_iter().collect()
+        let of_two = self.of_two().into_iter().flatten();
+        self.by_category().into_iter().chain(of_two).collect()
     }
 
     fn tier(&self) -> u8 {
         1
     }
 
-    fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
-        let first = match self.form {
-            Form::Level { lag_s, .. } if lag_s != 0.0 => {
-                Input::Switch { column: &self.column, lag_s }
-            }
-            _ => Input::Column(&self.column),
+    fn inputs(&self, nonlinear: &[f64]) -> Vec<Input<'_>> {
+        let lag_s = match nonlinear.first() {
+            Some(lag_s) if self.has_lag() => *lag_s,
+            _ => 0.0,
         };
-        let mut inputs = vec![first];
+        let columns = [Some(&self.column), self.minus.as_ref()];
+        let mut inputs: Vec<Input<'_>> =
+            columns.into_iter().flatten().map(|column| self.subject(column, lag_s)).collect();
         inputs.extend(self.times.input());
         inputs
     }
 
     fn nonlinear(&self) -> &'static [Nonlinear] {
-        if matches!(self.form, Form::Hinge { .. }) { &[Nonlinear::Bend] } else { &[] }
+        match self.form {
+            Form::Hinge { .. } => &[Nonlinear::Bend],
+            _ if self.times.open_range().is_some() => &[Nonlinear::Bend],
+            _ if self.has_lag() => &[Nonlinear::TimeConstant],
+            _ => &[],
+        }
     }
 
     fn nonlinear_limits(&self) -> Option<[f64; 2]> {
         match self.form {
             Form::Hinge { range, .. } => Some(range),
-            _ => None,
+            _ => self.times.open_range(),
         }
     }
 
     fn amplitudes(&self) -> usize {
         match &self.form {
             Form::Level { levels, .. } => levels.len() - self.without_amplitude(),
-            Form::Line { .. } | Form::Hinge { .. } => 1,
+            Form::Line { .. } | Form::Hinge { .. } | Form::Constant { .. } => 1,
+            Form::Curve { at, .. } => at.len() - 1,
         }
     }
 
     fn values(&self) -> Vec<f64> {
-        match &self.form {
+        let amplitudes = match &self.form {
             Form::Level { added, .. } => added[self.without_amplitude()..].to_vec(),
             Form::Line { slope, .. } => vec![*slope],
             Form::Hinge { slope, from, .. } => vec![*from, *slope],
-        }
+            Form::Constant { added } => vec![*added],
+            Form::Curve { added, .. } => added[1..].to_vec(),
+        };
+        self.first_value().into_iter().chain(amplitudes).collect()
     }
 
     fn set(&mut self, values: &[f64]) {
         let first = self.without_amplitude();
+        let amplitudes = values.len().saturating_sub(self.amplitudes());
+        let values = match self.form {
+            Form::Hinge { .. } => values,
+            _ => {
+                match (&mut self.times, &values[..amplitudes]) {
+                    (Times::Column { reference, range, .. }, [value, ..])
+                        if range[0] < range[1] =>
+                    {
+                        *reference = *value;
+                    }
+                    (_, [value, ..]) if self.lag_s != 0.0 => self.lag_s = *value,
+                    _ => {}
+                }
+                &values[amplitudes..]
+            }
+        };
         match &mut self.form {
+            Form::Curve { added, .. } => {
+                added.iter_mut().skip(1).zip(values).for_each(|(added, value)| *added = *value);
+            }
             Form::Level { added, .. } => {
                 added.iter_mut().skip(first).zip(values).for_each(|(added, value)| *added = *value);
             }
             Form::Line { slope, .. } => *slope = values[0],
+            Form::Constant { added } => *added = values[0],
             Form::Hinge { slope, from, .. } => {
                 if let [at, value] = *values {
                     (*from, *slope) = (at, value);
@@ -227,8 +340,8 @@ impl Page for Dependence {
     fn has_reference(&self) -> bool {
         let is_arbitrary = match &self.form {
             Form::Level { levels, .. } => *levels != SWITCH,
-            Form::Line { .. } => true,
-            Form::Hinge { .. } => false,
+            Form::Line { .. } | Form::Curve { .. } => true,
+            Form::Hinge { .. } | Form::Constant { .. } => false,
         };
         is_arbitrary && self.times == Times::One
     }
@@ -236,7 +349,11 @@ impl Page for Dependence {
     fn sentence(&self, values: &[f64]) -> String {
         let mut found = self.clone();
         found.set(values);
-        let (column, unit) = (&self.column, self.times.unit());
+        let unit = self.times.unit();
+        let column = match &self.minus {
+            Some(minus) => &format!("{} − {minus}", self.column),
+            None => &self.column,
+        };
         let how = match &found.form {
             Form::Level { levels, added, .. } => {
                 let each = levels.iter().zip(added).skip(self.without_amplitude());
@@ -253,8 +370,20 @@ impl Page for Dependence {
             Form::Hinge { slope, from, .. } => {
                 format!("{slope:+.4}{unit} for each unit of {column} above {from:.4}")
             }
+            Form::Constant { added } => format!("{added:+.3}{unit}"),
+            Form::Curve { at, added } => {
+                let each = at.iter().zip(added);
+                let each: Vec<String> =
+                    each.map(|(at, added)| format!("{added:+.2}{unit} at {at:.4}")).collect();
+                format!("{}, straight lines between them", each.join(", "))
+            }
         };
-        format!("The error depends on {column}: {how}. No physical law with a name fits.")
+        let behind = if self.has_lag() {
+            format!(", behind a time constant of {}", minutes(found.lag_s))
+        } else {
+            String::new()
+        };
+        format!("The error depends on {column}: {how}{behind}. No physical law with a name fits.")
     }
 
     fn next_test(&self) -> &'static str {
@@ -263,24 +392,32 @@ impl Page for Dependence {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let [slope_key, level_key] = self.times.keys();
-        match &self.form {
-            Form::Level { levels, .. } => {
-                let mut added = vec![0.0; self.without_amplitude()];
-                added.extend_from_slice(values);
-                let record = vec![
-                    ("levels", Some(Value::Numbers(levels.clone()))),
-                    (level_key, Some(Value::Numbers(added))),
-                ];
-                vec![Parameter::Record(level_key, record)]
-            }
+        let late = self.nonlinear().len();
+        let list = |key, places, at: &Vec<f64>, without| {
+            let mut added = vec![0.0; without];
+            added.extend_from_slice(&values[late..]);
+            let record = vec![
+                (places, Some(Value::Numbers(at.clone()))),
+                (key, Some(Value::Numbers(added))),
+            ];
+            vec![Parameter::Record(key, record)]
+        };
+        let mut all = match &self.form {
+            Form::Level { levels, .. } => list(level_key, "levels", levels, self.without_amplitude()),
+            Form::Curve { at, .. } => list("curve_um", "at", at, 1),
+            Form::Constant { .. } => vec![Parameter::Fitted("level_um", 0, 0.0)],
             Form::Line { reference, .. } => vec![
-                Parameter::Fitted(slope_key, 0, 0.0),
+                Parameter::Fitted(slope_key, late, 0.0),
                 Parameter::Fixed("reference", *reference),
             ],
             Form::Hinge { .. } => {
                 vec![Parameter::Fitted(slope_key, 1, 0.0), Parameter::Fitted("from", 0, 0.0)]
             }
-        }
+        };
+        all.extend(self.has_lag().then_some(Parameter::Fitted("lag_s", 0, 0.0)));
+        let reference = Parameter::Fitted("times_reference", 0, 0.0);
+        all.extend(self.times.open_range().map(|_| reference));
+        all
     }
 }
 
@@ -290,6 +427,7 @@ impl Definition for Dependence {
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
         &[
             "column",
+            "minus",
             "form",
             "times",
             "levels",
@@ -308,170 +446,71 @@ impl Definition for Dependence {
             "lag_s",
             "reference",
             "from",
+            "at",
+            "curve_um",
         ]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let column = section.required("column", section.text("column")?)?.to_string();
-        let times = match section.text("times")? {
-            None => Times::One,
-            Some(name) => match Times::ALL.into_iter().find(|(known, _)| *known == name) {
-                Some((_, times)) => times,
-                None => Times::Column {
-                    column: name.into(),
-                    reference: section.number("times_reference")?.unwrap_or(0.0),
-                },
-            },
-        };
-        let [slope_key, level_key] = times.keys();
-        const FORMS: [(&str, u8); 3] = [("level", 0), ("line", 1), ("hinge", 2)];
-        let form = match section.required("form", section.choice("form", &FORMS)?)? {
-            0 => {
-                let levels = section.required("levels", section.numbers("levels")?)?;
-                let added = section.required(level_key, section.numbers(level_key)?)?;
-                let is_repeated = |n: usize| levels[..n].contains(&levels[n]);
-                if levels.len() < 2 || (0..levels.len()).any(is_repeated) {
-                    return Err(section.bad("levels", "takes at least two different values"));
-                }
-                if added.len() != levels.len() {
-                    return Err(section.bad(level_key, "takes a value for each of levels"));
-                }
-                if times == Times::One && added[0] != 0.0 {
-                    let rule = "begins with 0: the first of levels adds nothing";
-                    return Err(section.bad(level_key, rule));
-                }
-                let lag_s = section.not_negative("lag_s")?.unwrap_or(0.0);
-                if lag_s != 0.0 && !levels.iter().all(|level| SWITCH.contains(level)) {
-                    let rule = "belongs to levels of 0 and 1: a condition that acts behind a lag";
-                    return Err(section.bad("lag_s", rule));
-                }
-                let otherwise = section.number("level_default")?.unwrap_or(0.0);
-                Form::Level { levels, added, otherwise, lag_s }
-            }
-            1 => Form::Line {
-                slope: number(section, slope_key)?,
-                reference: section.number("reference")?.unwrap_or(0.0),
-            },
-            _ => {
-                let from = number(section, "from")?;
-                Form::Hinge { slope: number(section, slope_key)?, from, range: [from; 2] }
-            }
-        };
-        Ok(Self { column, form, times })
+        read(section)
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        let factor = self.factor(x);
+        let (x, factor) = match self.minus {
+            Some(_) => (x[0] - x[1], self.factor(nonlinear, x.get(2))),
+            None => (x[0], self.factor(nonlinear, x.get(1))),
+        };
         match &self.form {
-            Form::Level { levels, otherwise, lag_s, .. } => {
+            Form::Level { levels, otherwise, .. } => {
                 // Which level a missing value is, is not known.
-                if x[0].is_nan() {
+                if x.is_nan() {
                     add(0, f64::NAN);
                 }
                 let first = self.without_amplitude();
-                if *lag_s != 0.0 {
+                if self.has_lag() {
                     // On its way from off to on.
                     for (number, level) in levels.iter().enumerate().skip(first) {
-                        let share = if *level == 0.0 { 1.0 - x[0] } else { x[0] };
+                        let share = if *level == 0.0 { 1.0 - x } else { x };
                         add(number - first, share * factor);
                     }
                     return;
                 }
-                match levels.iter().position(|level| *level == x[0]) {
+                match levels.iter().position(|level| *level == x) {
                     Some(number) if number >= first => add(number - first, factor),
                     // What is no amplitude is added as it is.
                     None if *otherwise != 0.0 => add(usize::MAX, otherwise * factor),
                     _ => {}
                 }
             }
-            Form::Line { reference, .. } => add(0, (x[0] - reference) * factor),
+            Form::Line { reference, .. } => add(0, (x - reference) * factor),
             Form::Hinge { from, .. } => {
                 let from = nonlinear.first().copied().unwrap_or(*from);
-                let above = x[0] - from;
+                let above = x - from;
                 // A missing value stays one.
                 add(0, if above < 0.0 { 0.0 } else { above } * factor);
+            }
+            Form::Constant { .. } => add(0, if x.is_nan() { x } else { 1.0 }),
+            Form::Curve { at, .. } => {
+                let above = at.partition_point(|place| *place <= x).clamp(1, at.len() - 1);
+                let [low, high] = [at[above - 1], at[above]];
+                let share = ((x - low) / (high - low)).clamp(0.0, 1.0);
+                if above > 1 {
+                    add(above - 2, 1.0 - share);
+                }
+                add(above - 1, share);
             }
         }
     }
 
     fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
         let Levels { column, levels, added, otherwise, lag_s, times } = levels_of(form)?;
-        Some(Self { column, form: Form::Level { levels, added, otherwise, lag_s }, times })
+        let form = Form::Level { levels, added, otherwise };
+        Some(Self { column, minus: None, lag_s, form, times })
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let mut times = vec![Times::One];
-        if survey.varies("spindle_rpm") {
-            times.push(Times::Speed2);
-        }
-        let is_sensed = survey.source() == Some(ElongationSource::Sensor);
-        if is_sensed && survey.quantity().axis().is_none() && spread(survey.law()) > 0.0 {
-            times.push(Times::Growth);
-        }
-        if survey.moves() {
-            times.push(Times::Position);
-        }
-        let all: Vec<(&str, &[f64])> =
-            survey.others().into_iter().filter_map(|name| varying(survey, name)).collect();
-        let known = survey.temperatures().into_iter().chain([LOAD]);
-        let known: Vec<(&str, &[f64])> = known.filter_map(|name| varying(survey, name)).collect();
-        for (number, &(column, values)) in all.iter().enumerate() {
-            let levels = if column == TOOL_COLUMN { tools(values) } else { levels(values) };
-            // A product is the same the other way round; a category is never the second factor.
-            let later = all.iter().enumerate().filter(|(n, (_, values))| {
-                (levels.is_some() && *n != number || *n > number) && self::levels(values).is_none()
-            });
-            let second = known.iter().chain(later.map(|(_, it)| it)).map(|(name, values)| {
-                Times::Column { column: (*name).into(), reference: zero_of(values) }
-            });
-            for times in times.iter().cloned().chain(second) {
-                let is_alone = times == Times::One;
-                let is_second = times.column().is_some();
-                let mut propose = |form, settings| {
-                    with(Self { column: column.into(), form, times: times.clone() }, settings);
-                };
-                if levels.is_some() {
-                    // A tool that never turned says nothing of what it does at speed.
-                    let acting = acting(survey, values, &times);
-                    let levels = if column == TOOL_COLUMN { tools(&acting) } else { self::levels(&acting) };
-                    let Some(levels) = levels else { continue };
-                    let added = vec![0.0; levels.len()];
-                    let form = Form::Level { levels, added, otherwise: 0.0, lag_s: 0.0 };
-                    propose(form, Settings::none());
-                    continue;
-                }
-                // The number of a tool is no amount.
-                if column == TOOL_COLUMN {
-                    continue;
-                }
-                let reference = if is_alone { first(values) } else { zero_of(values) };
-                propose(Form::Line { slope: 0.0, reference }, Settings::none());
-                let bends = bends(values);
-                if let [low, .., high] = bends[..]
-                    && !is_second
-                {
-                    let hinge = Form::Hinge { slope: 0.0, from: low, range: [low, high] };
-                    propose(hinge, Settings::at(bends));
-                }
-            }
-        }
+        propose(survey, with);
     }
-}
-
-/// The values of a column in the rows in which what it is multiplied by is not 0.
-fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
-    let factor = match times {
-        Times::Speed2 => survey.column("spindle_rpm"),
-        Times::Growth => Some(survey.law()),
-        _ => None,
-    };
-    let acts = |row: usize| factor.is_none_or(|factor| factor[row] != 0.0);
-    values.iter().enumerate().filter(|(row, _)| acts(*row)).map(|(_, value)| *value).collect()
-}
-
-/// A column that has different values.
-fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
-    survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@
 use trueup_core::term::SpeedPower;
 
 use super::{
+    dependence::SPEED,
     heat,
     page::{
         Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page,
@@ -21,15 +22,13 @@ use crate::{
     location::BadInput,
 };
 
-/// The column of the spindle's speed.
-const SPEED: &str = "spindle_rpm";
 /// The powers of the speed: the value of `input`, and the key of c.
 const POWERS: [(SpeedPower, &str, &str); 2] = [
     (SpeedPower::Second, "speed2", "um_per_krpm2"),
     (SpeedPower::First, "speed", "um_per_krpm"),
 ];
 
-/// The fastest that heat of the speed is looked for, in s: 0.2 m of cast iron settle in L²/(π²·a). What comes sooner
+/// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). What comes sooner
 /// is no heat, but any law of the speed.
 const FASTEST_S: f64 = 300.0;
 
@@ -127,6 +126,11 @@ impl Page for ExtraHeatPath {
 
     fn nonlinear(&self) -> &'static [Nonlinear] {
         if self.has_lag() { &[Nonlinear::TimeConstant] } else { &[] }
+    }
+
+    fn nonlinear_limits(&self) -> Option<[f64; 2]> {
+        let is_slow = matches!(self, Self::OfSpeed(_)) && self.has_lag();
+        is_slow.then_some([FASTEST_S, f64::INFINITY])
     }
 
     fn values(&self) -> Vec<f64> {

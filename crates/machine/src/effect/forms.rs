@@ -100,5 +100,7 @@ pub enum Times {
         column: String,
         /// y₀, in its unit.
         reference: f64,
+        /// Range of y₀ in a search; where it is one value, y₀ is fixed.
+        range: [f64; 2],
     },
 }

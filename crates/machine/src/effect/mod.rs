@@ -35,6 +35,7 @@ mod page;
 mod quantity;
 mod survey;
 mod wave;
+mod within;
 
 use std::ops::{Deref, DerefMut};
 
@@ -50,6 +51,7 @@ pub use reference_instrument::Read;
 pub use survey::{Reading, Settings, Survey, spread};
 pub use trueup_core::term::SpeedPower;
 pub use wave::Wave;
+pub use within::{Side, Within};
 
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 use page::Definition;
@@ -69,6 +71,8 @@ macro_rules! causes {
         #[derive(Clone, Debug, PartialEq)]
         pub enum Effect {
             $(#[doc = $text] $Page($Page),)*
+            /// A cause that acts only in a range of a recorded input.
+            Within(Within),
         }
 
         impl Cause {
@@ -110,27 +114,39 @@ macro_rules! causes {
             /// The cause that it belongs to.
             #[must_use]
             pub fn cause(&self) -> Cause {
-                match self { $(Self::$Page(_) => Cause::$Page,)* }
+                match self {
+                    $(Self::$Page(_) => Cause::$Page,)*
+                    Self::Within(within) => within.effect.cause(),
+                }
             }
 
             /// What each amplitude of 1 adds at these nonlinear values, in µm: a column an
             /// amplitude, or the only one where there is no amplitude.
             #[must_use]
             pub fn columns(&self, nonlinear: &[f64], source: &dyn Columns) -> Vec<Vec<f64>> {
-                match self { $(Self::$Page(page) => law::columns(page, nonlinear, source),)* }
+                match self {
+                    $(Self::$Page(page) => law::columns(page, nonlinear, source),)*
+                    Self::Within(within) => within.columns(nonlinear, source),
+                }
             }
 
             /// What it adds with these values, in µm, row by row; an amplitude of 0 adds nothing, whatever its
             /// inputs are.
             #[must_use]
             pub fn sum(&self, values: &[f64], source: &dyn Columns) -> Vec<f64> {
-                match self { $(Self::$Page(page) => law::sum(page, values, source),)* }
+                match self {
+                    $(Self::$Page(page) => law::sum(page, values, source),)*
+                    Self::Within(within) => within.sum(values, source),
+                }
             }
 
             /// What it adds with these values where its inputs are `x`, in µm.
             #[must_use]
             pub fn at_row(&self, values: &[f64], x: &[f64]) -> f64 {
-                match self { $(Self::$Page(page) => law::at_row(page, values, x),)* }
+                match self {
+                    $(Self::$Page(page) => law::at_row(page, values, x),)*
+                    Self::Within(within) => within.at_row(values, x),
+                }
             }
 
             /// The cause that a form on the board is shown as, of an axis or (none) the elongation. It
@@ -152,13 +168,13 @@ macro_rules! causes {
             type Target = dyn Page;
 
             fn deref(&self) -> &(dyn Page + 'static) {
-                match self { $(Self::$Page(page) => page,)* }
+                match self { $(Self::$Page(page) => page,)* Self::Within(within) => within }
             }
         }
 
         impl DerefMut for Effect {
             fn deref_mut(&mut self) -> &mut (dyn Page + 'static) {
-                match self { $(Self::$Page(page) => page,)* }
+                match self { $(Self::$Page(page) => page,)* Self::Within(within) => within }
             }
         }
     };
@@ -226,6 +242,7 @@ impl Effect {
     /// All causes that the data allow, neutral, each with values to begin from.
     pub fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         Cause::ALL.iter().for_each(|cause| cause.propose(survey, with));
+        within::propose(survey, with);
     }
 
     /// Why it cannot be a cause there, if it cannot: the rule, with its name.
@@ -239,6 +256,23 @@ impl Effect {
         Some(format!("\"{}\" {rule}", self.name()))
     }
 
+    /// Whether it takes two recorded inputs together (the difference of two, a range of one), or bends or lags behind one
+    /// so that it imitates other laws.
+    #[must_use]
+    pub fn is_composed(&self) -> bool {
+        match self {
+            Self::Within(_) => true,
+            Self::Dependence(page) => page.is_composed(),
+            _ => false,
+        }
+    }
+
+    /// The range in which alone it acts.
+    #[must_use]
+    pub fn within(&self) -> Option<&Within> {
+        if let Self::Within(within) = self { Some(within) } else { None }
+    }
+
     /// The column of the run that it hangs on, if it is one.
     #[must_use]
     pub fn column(&self) -> Option<String> {
@@ -249,7 +283,7 @@ impl Effect {
             Input::Load => Some("load_n".into()),
             Input::Feed => Some(feed_dependent_backlash::FEED.into()),
             Input::Position(axis) => Some(format!("{}_mm", axis.name())),
-            Input::Column(column) | Input::Switch { column, .. } => Some(column.into()),
+            Input::Column(column) | Input::Lagged { column, .. } => Some(column.into()),
             _ => None,
         }
     }
@@ -277,7 +311,7 @@ impl Effect {
                 Input::OwnPosition => columns.extend(quantity.axis().map(position)),
                 Input::Position(axis) => columns.push(position(axis)),
                 Input::Column(column) => columns.push(column.into()),
-                Input::Switch { column, .. } => columns.extend([column.into(), "time_s".into()]),
+                Input::Lagged { column, .. } => columns.extend([column.into(), "time_s".into()]),
                 Input::Predicted | Input::Law | Input::Believed | Input::OwnDirection => {}
             }
         }

@@ -69,8 +69,8 @@ pub enum Input<'a> {
     Position(LinearAxis),
     /// Any other column of the run.
     Column(&'a str),
-    /// Such a column of 0 and 1, behind a first-order lag.
-    Switch {
+    /// Such a column behind a first-order lag.
+    Lagged {
         /// Its name.
         column: &'a str,
         /// The lag's time constant, in s; above 0.

@@ -8,7 +8,7 @@
 
 use super::{AxisModel, Spindle, read::Section, write::section::NewSection};
 use crate::{
-    effect::{Cause, Effect, Host, Quantity},
+    effect::{Cause, Effect, Host, Quantity, Within},
     location::{BadInput, did_you_mean, shortened},
 };
 
@@ -33,7 +33,8 @@ pub fn in_order(terms: &[Term]) -> Vec<(usize, &Term)> {
 }
 
 /// Keys that every term may have.
-const COMMON: [&str; 3] = ["cause", "quantity", "constant_um"];
+const COMMON: [&str; 6] =
+    ["cause", "quantity", "constant_um", "where_column", "where_above", "where_below"];
 
 pub(super) fn read(section: &Section<'_>) -> Result<Term, BadInput> {
     let name = section.required("cause", section.text("cause")?)?;
@@ -45,7 +46,8 @@ pub(super) fn read(section: &Section<'_>) -> Result<Term, BadInput> {
     let quantities = Quantity::ALL.map(|quantity| (quantity.name(), quantity));
     let quantity = section.required("quantity", section.choice("quantity", &quantities)?)?;
     let constant_um = section.number("constant_um")?.unwrap_or(0.0);
-    Ok(Term { quantity, constant_um, effect: cause.read(section)? })
+    let effect = Within::read(section, cause.read(section)?)?;
+    Ok(Term { quantity, constant_um, effect })
 }
 
 /// Whether the term belongs to the machine with this spindle and these axes: a lag needs a

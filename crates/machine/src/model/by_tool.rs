@@ -15,7 +15,8 @@ pub fn growth_by_tool(list: &Tools) -> Term {
         tool.number.map(f64::from).into_iter().chain(code).map(move |it| (it, um))
     };
     let (levels, added) = list.tools.iter().flat_map(levels).unzip();
-    let form = Form::Level { levels, added, otherwise: list.default_um_per_krpm2, lag_s: 0.0 };
-    let effect = Dependence { column: TOOL_COLUMN.into(), form, times: Times::Speed2 };
+    let form = Form::Level { levels, added, otherwise: list.default_um_per_krpm2 };
+    let column = TOOL_COLUMN.into();
+    let effect = Dependence { column, minus: None, lag_s: 0.0, form, times: Times::Speed2 };
     Term { quantity: Quantity::Elongation, constant_um: 0.0, effect: Effect::Dependence(effect) }
 }

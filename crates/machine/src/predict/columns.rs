@@ -34,7 +34,7 @@ impl<'a> Columns<'a> {
         let reads = machine.terms.iter().flat_map(|term| term.effect.reads());
         let names: Vec<&str> = reads
             .filter_map(|input| match input {
-                Input::Column(column) | Input::Switch { column, .. } => Some(column),
+                Input::Column(column) | Input::Lagged { column, .. } => Some(column),
                 _ => None,
             })
             .chain(by_tool)

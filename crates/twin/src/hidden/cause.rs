@@ -44,6 +44,15 @@ macro_rules! causes {
                 }
             }
 
+            /// The columns on which an effect without a name depends.
+            #[must_use]
+            pub fn unnamed_inputs(self) -> &'static [&'static str] {
+                match self {
+                    Self::PreloadChange | Self::CriticalSpeed => &["spindle_rpm"],
+                    _ => &[],
+                }
+            }
+
             /// What a diagnosis should make of it.
             #[must_use]
             pub fn expected(self) -> Expected {

@@ -138,6 +138,9 @@ pub const RANGES: &[Range] = &[
     range("term.*.um_per_n", "µm/N", [-100.0, 100.0], [-1.0, 1.0], [-0.1, 0.1], "a stiffness of 10 to 200 N/µm")
         .above("probably in µm for one kN"),
     range("term.dependence.level_um", "µm", [-1e5, 1e5], [-4000.0, 4000.0], [-200.0, 200.0], ERRORS).below(NANOMETRES).above(NANOMETRES),
+    range("term.dependence.lag_s", "s", [0.0, 1e9], [0.0, 2e6], [0.0, 4e4], BODY).above(MILLISECONDS),
+    range("term.*.where_above", "", [-ANY, ANY], [-ANY, ANY], [-ANY, ANY], "the unit of the column is the user's"),
+    range("term.*.where_below", "", [-ANY, ANY], [-ANY, ANY], [-ANY, ANY], "the unit of the column is the user's"),
     range("term.dependence.*", "", [-ANY, ANY], [-ANY, ANY], [-ANY, ANY], "the unit of the column is the user's"),
     // A diagnosis of weeks finds what takes months.
     range("term.*.time_constant_s", "s", [0.0, 1e9], [0.0, 2e6], [0.0, 4e4], BODY).above(MILLISECONDS),

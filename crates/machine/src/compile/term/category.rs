@@ -176,8 +176,11 @@ pub(super) fn condition_inverse(it: &OnOff) -> OnBoard {
 /// Returns the list of `[spindle.tools]` that a term is, if it is one.
 pub(in crate::compile) fn list_of(term: &Term) -> Option<Tools> {
     let Effect::Dependence(it) = &term.effect else { return None };
-    let Form::Level { levels, added, otherwise, lag_s: 0.0 } = &it.form else { return None };
-    let is_list = it.column == TOOL_COLUMN && it.times == Times::Speed2 && term.constant_um == 0.0;
+    let Form::Level { levels, added, otherwise } = &it.form else { return None };
+    let is_list = it.column == TOOL_COLUMN
+        && it.lag_s == 0.0
+        && it.times == Times::Speed2
+        && term.constant_um == 0.0;
     if !is_list || term.quantity != Quantity::Elongation {
         return None;
     }

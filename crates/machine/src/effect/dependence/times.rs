@@ -1,10 +1,12 @@
 //! What a dependence on a column is multiplied by.
 
 use crate::{
-    effect::{forms::Times, page::Input},
+    effect::{forms::Times, page::Input, survey::{Settings, Survey, spread}},
     file::is_temperature_column,
 };
 
+/// The column of the spindle's speed.
+pub(in crate::effect) const SPEED: &str = "spindle_rpm";
 /// The column of the cutting force.
 pub(super) const LOAD: &str = "load_n";
 
@@ -39,6 +41,25 @@ impl Times {
                 Some(Input::Temperature { column, lag_s: 0.0 })
             }
             Self::Column { column, .. } => Some(Input::Column(column)),
+        }
+    }
+
+    /// Lets the reference of a temperature be fitted, and returns values to begin from; none of other columns.
+    pub(super) fn free_reference(&mut self, survey: &dyn Survey) -> Option<Settings> {
+        let Self::Column { column, range, .. } = self else { return None };
+        let values = survey.column(column).filter(|_| is_temperature_column(column))?;
+        let finite = values.iter().copied().filter(|value| value.is_finite());
+        let low = finite.clone().fold(f64::INFINITY, f64::min);
+        let width = spread(values);
+        *range = [low - width, low + 2.0 * width];
+        Some(Settings::at([low - 0.5 * width, low + 0.25 * width, low + 0.75 * width, low + 1.5 * width]))
+    }
+
+    /// Returns the range of its reference, where that is fitted.
+    pub(super) fn open_range(&self) -> Option<[f64; 2]> {
+        match self {
+            Self::Column { range, .. } if range[0] < range[1] => Some(*range),
+            _ => None,
         }
     }
 

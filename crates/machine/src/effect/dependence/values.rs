@@ -1,5 +1,7 @@
 //! What the values of a column are: a category, a quantity with a zero, a range in which a line may bend.
 
+use std::ops::RangeInclusive;
+
 /// Largest number of levels of a column that counts as a category.
 const MAX_LEVELS: usize = 12;
 /// Smallest number of rows of a level, but of a column that is only 0 and 1.
@@ -8,6 +10,8 @@ const MIN_LEVEL_ROWS: usize = 8;
 const NEAR_ZERO: f64 = 0.35;
 /// Starts of the search for the value from which a hinge bends, at equal shares of the sorted rows.
 const HINGES: usize = 8;
+/// Places of a curve, of a smooth and of a wavy one.
+pub(super) const KNOTS: [usize; 2] = [5, 9];
 /// The levels of a column that is off and on.
 pub(super) const SWITCH: [f64; 2] = [0.0, 1.0];
 
@@ -60,10 +64,30 @@ pub(super) fn tools(values: &[f64]) -> Option<Vec<f64>> {
 
 /// Values from which a line may begin: inside, at equal shares of the sorted rows, no two alike.
 pub(super) fn bends(values: &[f64]) -> Vec<f64> {
+    shares(values, 1..=HINGES, HINGES + 1)
+}
+
+/// Returns `count` places of a curve: all values of a column that has so many, else the ends and equal shares of the
+/// sorted rows; none if there are fewer.
+pub(super) fn knots(values: &[f64], count: usize) -> Option<Vec<f64>> {
+    let mut different: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    different.sort_unstable_by(f64::total_cmp);
+    different.dedup();
+    if different.len() > count {
+        different = shares(values, 0..=count - 1, count - 1);
+    }
+    // Three places are the fewest that bend.
+    (different.len() == count || (3..KNOTS[1]).contains(&different.len()) && count == KNOTS[1])
+        .then_some(different)
+}
+
+/// The values at these of `of` equal shares of the sorted rows, no two alike.
+fn shares(values: &[f64], numbers: RangeInclusive<usize>, of: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
-    let at = |n: usize| sorted[n * (sorted.len() - 1) / (HINGES + 1)];
-    let mut bends: Vec<f64> = (1..=HINGES).map(at).collect();
-    bends.dedup();
-    bends
+    let last = sorted.len().saturating_sub(1);
+    let mut values: Vec<f64> =
+        numbers.filter_map(|n| sorted.get(n * last / of).copied()).collect();
+    values.dedup();
+    values
 }

@@ -15,6 +15,10 @@ pub const TERM: &[Key] = &[
         .as_in("\"dx\""),
     key("constant_um", Number, "µm", "added as well: the reference of a measurement is arbitrary")
         .or("0.0"),
+    key("where_column", Text, "", "it acts only where this column is in a range")
+        .as_in("\"spindle_rpm\""),
+    key("where_above", Number, "", "above this value of `where_column`").as_in("10500.0"),
+    key("where_below", Number, "", "or below this one").as_in("10500.0"),
 ];
 
 /// Keys of the causes, each with one form wherever it stands.
@@ -27,6 +31,7 @@ pub const TERM_KEYS: &[Key] = &[
         "how large it is, or one of each for several waves",
     )
     .as_in("1.5"),
+    key("at", Numbers, "", "values of the column, rising").as_in("[2.0, 20.0, 40.0]"),
     key("at_feed_mm_per_min", Number, "mm/min", "the feed at which the machine is used")
         .as_in("1000.0"),
     key("at_s", Number, "s", "when, in the run's `time_s`").as_in("1200.0"),
@@ -34,13 +39,15 @@ pub const TERM_KEYS: &[Key] = &[
     key("column", Text, "", "the run's column that it follows").as_in("\"temp_bed_c\""),
     key("control_um", Numbers, "µm", "control points of a curve").as_in("[0.0, 3.0]"),
     key("control_urad", Numbers, "µrad", "control points of a curve of angles").as_in("[0.0, 3.0]"),
+    key("curve_um", Numbers, "µm", "what is added at each of `at`, the first 0")
+        .as_in("[0.0, 4.0, 5.0]"),
     key("description", Text, "", "in words").as_in("\"sweeps\""),
     key("factor_per_unit", Number, "", "times the growth, for one unit of the column")
         .as_in("0.01"),
     key("feeds_mm_per_min", Numbers, "mm/min", "feeds, rising").as_in("[100.0, 1000.0]"),
     key(
         "form",
-        Choice(&["lag", "delay", "level", "line", "hinge"]),
+        Choice(&["lag", "delay", "level", "line", "hinge", "curve"]),
         "",
         "in which way a thermometer is late, or an error depends on a column",
     )
@@ -52,7 +59,7 @@ pub const TERM_KEYS: &[Key] = &[
     key("harmonic", Form::NumberOrNumbers, "", "whole numbers from 1 to 1000").as_in("1"),
     key("input", Choice(&["speed", "speed2"]), "", "the heating speed").as_in("\"speed2\""),
     key("knots_mm", Numbers, "mm", "knots of a curve").as_in("[0.0, 0.0, 100.0, 100.0]"),
-    key("lag_s", NotNegative, "s", "time constant by which a condition of `levels` 0 and 1 acts")
+    key("lag_s", NotNegative, "s", "time constant by which a line, or `levels` 0 and 1, act")
         .as_in("600.0"),
     key(
         "level_default",
@@ -77,6 +84,8 @@ pub const TERM_KEYS: &[Key] = &[
     key("levels", Numbers, "", "values of the column, the first adds nothing").as_in("[0.0, 1.0]"),
     key("lever", Choice(AXES), "", "the axis along which the lever is").as_in("\"z\""),
     key("limit_um", Number, "µm", "where the sensor's range ends").as_in("90.0"),
+    key("minus", Text, "", "the temperature that is taken away from that of `column`")
+        .as_in("\"temp_right_c\""),
     key("offset_um", Number, "µm", "what is added").as_in("1.0"),
     key("order", Whole(2, 4), "", "degree of a curve plus one").as_in("2"),
     key("origin_mm", Number, "mm", "where it is 0").as_in("0.0"),

@@ -1,0 +1,175 @@
+//! What takes two recorded inputs together: the bound of a range, and a difference in the place of two paths of heat.
+
+use trueup_machine::effect::{Effect, Input, Within};
+
+use crate::{
+    candidates::with_composed,
+    columns::named,
+    fit::{Fitted, Problem, fit},
+    kind::{Kind, Part},
+    model::Model,
+    search::{
+        criterion::EQUAL_PREDICTION,
+        extend::{Extension, centred_effect, extensions, take_back},
+        state::Search,
+    },
+};
+
+/// Bounds that are tried at once.
+const TRIED: usize = 9;
+/// Those that are fitted in the place of all terms over a column.
+const MOST_ALONE: usize = 10;
+/// The share of the rows on either side of a bound in which a better one is looked for: as far as the next one that a
+/// search tries.
+const AROUND: f64 = 0.1;
+
+/// Returns `fitted` with the bound of its part `kind` where it leaves least, and that part.
+pub(super) fn with_best_bound(problem: &Problem, kind: &Kind, fitted: Fitted) -> (Fitted, Kind) {
+    let mut kind = kind.clone();
+    let Some(within) = kind.cause().and_then(Effect::within) else { return (fitted, kind) };
+    let Some(values) = named(&problem.data, &within.column) else { return (fitted, kind) };
+    let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let place = |bound: f64| sorted.partition_point(|value| *value <= bound);
+    let around = (AROUND * sorted.len() as f64) as usize;
+    let (mut low, mut high) = {
+        let here = place(within.bound);
+        (here.saturating_sub(around).max(1), (here + around).min(sorted.len().saturating_sub(1)))
+    };
+    let mut best = fitted;
+    while low < high {
+        let step = ((high - low) / TRIED).max(1);
+        let mut at = None;
+        for number in (low..=high).step_by(step) {
+            // Between two values that differ.
+            let bound = 0.5 * (sorted[number - 1] + sorted[number]);
+            if sorted[number - 1] == sorted[number] {
+                continue;
+            }
+            let Some(with) = at_bound(problem, &best.model, &kind, bound) else { continue };
+            if with.0.rms() < best.rms() {
+                (best, kind) = with;
+                at = Some(number);
+            }
+        }
+        let Some(number) = at.filter(|_| step > 1) else { break };
+        (low, high) = (number.saturating_sub(step).max(low), (number + step).min(high));
+    }
+    (best, kind)
+}
+
+/// Returns `model`, fitted, with another bound of its part `kind`, and that part.
+fn at_bound(problem: &Problem, model: &Model, kind: &Kind, bound: f64) -> Option<(Fitted, Kind)> {
+    let within = kind.cause().and_then(Effect::within)?;
+    let moved = Kind::Cause(Effect::Within(Within { bound, ..within.clone() }));
+    let mut model = model.clone();
+    let part = model.parts.iter_mut().find(|part| part.kind == *kind)?;
+    part.kind = moved.clone();
+    Some((fit(problem, &model, None), moved))
+}
+
+/// What takes two inputs together comes last, beside simpler terms that have stood for it. Returns models with one alone
+/// in the place of all terms of `fitted` that read the column of one of `causes`.
+pub(crate) fn alone_over_a_column<'k>(
+    problem: &Problem,
+    fitted: &Fitted,
+    causes: impl IntoIterator<Item = &'k Kind>,
+) -> Vec<Extension> {
+    let mut columns: Vec<String> = causes.into_iter().filter_map(Kind::column).collect();
+    columns.sort_unstable();
+    columns.dedup();
+    let alone = columns.iter().flat_map(|column| {
+        let is_of_it =
+            |kind: &Kind| kind.stated().is_none() && kind.column().as_ref() == Some(column);
+        let mut model = fitted.model.clone();
+        model.parts.retain(|part| !is_of_it(&part.kind));
+        let base = fit(problem, &model, None);
+        let mut candidates = with_composed(problem, &base.model, &base.residual);
+        candidates.retain(|it| it.kind.is_composed() && is_of_it(&it.kind));
+        extensions(problem, &base, &candidates, MOST_ALONE)
+    });
+    alone.collect()
+}
+
+impl Search<'_> {
+    /// Whether an extension takes two inputs together and takes back what another term adds: two that are wrong.
+    pub(super) fn takes_back(&self, extension: &Extension) -> bool {
+        let effect = |kind: &Kind| centred_effect(self.problem, &extension.fitted, kind);
+        let others = extension.fitted.model.parts.iter().map(|part| &part.kind);
+        let mut others = others.filter(|kind| **kind != extension.cause && kind.is_added());
+        extension.cause.is_composed() && {
+            let own = effect(&extension.cause);
+            others.any(|other| take_back(&own, &effect(other)))
+        }
+    }
+
+    /// Two paths of heat may be the difference of two temperatures. Tries that in their place.
+    pub(super) fn difference_for_two_paths(&mut self) {
+        let paths: Vec<(Kind, String)> = self
+            .added
+            .iter()
+            .filter_map(|it| Some((it.cause.clone(), it.cause.heat_path()?.column.to_owned())))
+            .filter(|(kind, _)| self.fitted.model.has(kind) && kind.stated().is_none())
+            .collect();
+        for (number, (first, one)) in paths.iter().enumerate() {
+            for (second, other) in &paths[number + 1..] {
+                let Some(with) = self.with_difference([first, second], [one, other]) else {
+                    continue;
+                };
+                let is_foreseen = || {
+                    self.left_out_um(&with.fitted)
+                        < EQUAL_PREDICTION * self.left_out_um(&self.fitted)
+                };
+                if with.bic < self.bic() && is_foreseen() {
+                    let Some(index) = self.added.iter().position(|it| it.cause == *first) else {
+                        return;
+                    };
+                    self.replace(index, with);
+                    self.added.retain(|it| it.cause != *second);
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Returns the model with the difference of two columns in the place of two paths.
+    fn with_difference(&self, paths: [&Kind; 2], columns: [&str; 2]) -> Option<Extension> {
+        let mut model = self.fitted.model.clone();
+        let lags_s: Vec<f64> = model
+            .parts
+            .iter()
+            .filter(|part| paths.contains(&&part.kind) && part.kind.has_time_constant())
+            .map(|part| part.values[0])
+            .collect();
+        model.parts.retain(|part| !paths.contains(&&part.kind));
+        let reads = |kind: &Kind, column: &str| {
+            kind.cause().is_some_and(|cause| {
+                let of = |input: &Input<'_>| {
+                    matches!(input, Input::Temperature { column: there, .. } if *there == column)
+                };
+                cause.reads().iter().any(of)
+            })
+        };
+        let all = with_composed(self.problem, &model, &self.fitted.residual);
+        let of_both = all.into_iter().filter(|it| {
+            it.kind.is_composed() && columns.iter().all(|column| reads(&it.kind, column))
+        });
+        let fitted = of_both.map(|candidate| {
+            let kind = candidate.kind;
+            let mut values = vec![0.0; kind.degrees()];
+            if kind.has_time_constant() {
+                let longest = |a: f64, b: f64| if a > 0.0 { (a * b).sqrt() } else { b };
+                values[0] = lags_s.iter().copied().fold(0.0, longest);
+                if values[0] == 0.0 {
+                    values[0] = self.problem.bounds.step_s;
+                }
+            }
+            let mut with = model.clone();
+            with.parts.push(Part { kind: kind.clone(), values });
+            with.constant_um = with.constant_um.or(Some(0.0));
+            with.sort();
+            Extension::new(self.problem, kind, fit(self.problem, &with, None))
+        });
+        Extension::best(fitted)
+    }
+}
