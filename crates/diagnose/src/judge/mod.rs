@@ -160,6 +160,11 @@ fn alone_does_as_well(case: &Case<'_>, cause: &Kind) -> Option<Kind> {
     if !cause.is_composed() {
         return None;
     }
+    // Several terms over one column make up a law that has no form here.
+    let mut others = case.found.added.iter().map(|it| &it.cause);
+    if let Some(other) = others.find(|it| *it != cause && it.column() == cause.column()) {
+        return Some(other.clone());
+    }
     let alone = alone_over_a_column(case.problem, &case.found.fitted, [cause]);
     let other = alone.into_iter().filter(|it| !case.found.fitted.model.has(&it.cause));
     let near = other

@@ -74,7 +74,9 @@ impl<'s> Baseline<'s> {
         let before_um = rms(&self.left_out);
         let is_relevant = before_um - left_out_um > self.search.relevant_um;
         // What is one of very many must foresee better by more than what counts as equal.
-        let is_clear = !cause.is_composed() || EQUAL_PREDICTION * left_out_um < before_um;
+        let is_clear = !cause.is_composed()
+            || EQUAL_PREDICTION * left_out_um < before_um
+                && bic + self.search.price_of_composed() < self.search.bic();
         let is_gain = reduction.is_gain && is_relevant && is_clear;
         Assessed { cause, fitted, bic, left_out, left_out_um, reduction, is_gain }
     }

@@ -9,7 +9,7 @@ use crate::{
     kind::{Kind, Part},
     model::Model,
     search::{
-        criterion::EQUAL_PREDICTION,
+        criterion::{CHOICE, EQUAL_PREDICTION},
         extend::{Extension, centred_effect, extensions, take_back},
         state::Search,
     },
@@ -92,6 +92,20 @@ pub(crate) fn alone_over_a_column<'k>(
 }
 
 impl Search<'_> {
+    /// Returns what a term that takes two inputs together pays for the choice among all of them.
+    pub(super) fn price_of_composed(&self) -> f64 {
+        let fitted = &self.fitted;
+        let all = with_composed(self.problem, &fitted.model, &fitted.residual);
+        CHOICE * (all.len().max(1) as f64).ln()
+    }
+
+    /// Whether a cause takes two inputs together and a term of the model that does so reads its column: several on one
+    /// column make up a law that has no form here.
+    pub(super) fn has_composed_over_its_column(&self, cause: &Kind) -> bool {
+        let is_of_it = |there: &Kind| there.is_composed() && there.column() == cause.column();
+        cause.is_composed() && self.added.iter().any(|it| is_of_it(&it.cause))
+    }
+
     /// Whether an extension takes two inputs together and takes back what another term adds: two that are wrong.
     pub(super) fn takes_back(&self, extension: &Extension) -> bool {
         let effect = |kind: &Kind| centred_effect(self.problem, &extension.fitted, kind);

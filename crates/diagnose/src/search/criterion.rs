@@ -17,7 +17,8 @@ use crate::{
     fit::{Fitted, Problem},
     model::Model,
 };
-
+/// What a term pays for the choice among n causes, in ln n: EBIC with γ = 1.
+pub(crate) const CHOICE: f64 = 2.0;
 /// Models whose BIC differs by less cannot be told apart (from 6 on Kass and Raftery, 1995, speak of
 /// strong evidence).
 pub(crate) const STRONG_EVIDENCE: f64 = 6.0;

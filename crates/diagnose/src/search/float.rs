@@ -22,7 +22,7 @@ use crate::{
     model::Model,
     search::{
         MOST_TERMS,
-        criterion::{STRONG_EVIDENCE, bic, degrees, noise_of},
+        criterion::{CHOICE, STRONG_EVIDENCE, bic, degrees, noise_of},
         extend::{Extension, centred_effect, take_back, with_each_cause, without},
         state::{Added, Search},
     },
@@ -34,8 +34,6 @@ const MOST_AHEAD: usize = 3;
 /// Several terms at once must be identified: where they were not fitted they leave at most so many times the
 /// squares that they leave where they were.
 const MOST_LEFT_OUT: f64 = 2.0;
-/// What a term pays for the choice among n causes, in ln n: EBIC with γ = 1.
-const CHOICE: f64 = 2.0;
 /// Candidates that are fitted for each term.
 const MOST_FITTED: usize = 8;
 

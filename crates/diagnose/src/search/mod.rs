@@ -160,6 +160,7 @@ impl Search<'_> {
         let mut candidates = all(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
             self.stage.admits(&candidate.kind)
+                && !self.has_composed_over_its_column(&candidate.kind)
                 && !self.rejected.iter().any(|tried| tried.cause == candidate.kind)
                 && !self.given_up.contains(&candidate.kind)
         });
