@@ -12,7 +12,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, MISSING_INPUTS, Options, Verdict, diagnose_for};
+use trueup_diagnose::{Diagnosis, Gauge, MISSING_INPUTS, Options, Verdict, diagnose_for};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     compile::{check_slopes, compile},
@@ -61,11 +61,32 @@ pub struct Diagnose {
     /// the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::For>,
+    /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
+    #[arg(long, value_enum, default_value_t = By::Hand, requires = "next")]
+    gauge: By,
     #[command(flatten)]
     motion: crate::program::Motion,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+}
+
+/// Who reads the gauge.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum By {
+    /// A person, who writes it down.
+    Hand,
+    /// A program records it.
+    Auto,
+}
+
+impl By {
+    fn gauge(self) -> Gauge {
+        match self {
+            Self::Hand => Gauge::Hand,
+            Self::Auto => Gauge::Auto,
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -124,7 +145,8 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        next::write(&diagnosis, &machine, control, &args.motion, &args.out, as_json)?;
+        let motion = (&args.motion, args.gauge.gauge());
+        next::write(&diagnosis, &machine, control, motion, &args.out, as_json)?;
     }
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }

@@ -68,7 +68,7 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-pub use next::{AxisRun, Next, NoNext, Stretch, Told};
+pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
 use trueup_machine::{BadInput, RunFile};
 pub use trueup_page::Origin;
 
@@ -110,8 +110,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.
-    pub fn next(&self) -> Result<Next, NoNext> {
-        next::next(&self.questions, &self.data, &self.runs)
+    pub fn next(&self, gauge: Gauge) -> Result<Next, NoNext> {
+        next::next(&self.questions, &self.data, &self.runs, gauge)
     }
 
     /// What a further run has measured for the first open cause against its rival: the difference of −2·ln of their
