@@ -146,7 +146,8 @@ mod tests {
     /// Writes a day in which the bridge is heard as `is_heard` says; the entries.
     fn day(is_heard: impl Fn(u32) -> bool) -> Vec<String> {
         let (mut journal, mut now, mut all) = (Journal::new(false), Duration::ZERO, Vec::new());
-        let line = |is_heard: bool| json!({ "bridge": { "heard": is_heard, "state": "x".repeat(FILL) } });
+        let line =
+            |is_heard: bool| json!({ "bridge": { "heard": is_heard, "state": "x".repeat(FILL) } });
         let lines = [line(false), line(true)];
         for step in 0.. {
             let line = &lines[usize::from(is_heard(step))];
@@ -195,7 +196,10 @@ mod tests {
         // But for those after the last line.
         let flips = DAY.as_millis() / STEP.as_millis() - 1;
         assert!(u128::from(changes(&all)) + 1_000 > flips, "{}", changes(&all));
-        assert!(all[all.len() - 1].contains("[false,true]") || all[all.len() - 1].contains("[true,false]"));
+        assert!(
+            all[all.len() - 1].contains("[false,true]")
+                || all[all.len() - 1].contains("[true,false]")
+        );
     }
 
     #[test]

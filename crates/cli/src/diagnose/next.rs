@@ -74,7 +74,8 @@ pub fn write(
         }
         Err(why) => {
             let is_by_hand = gauge == Gauge::Hand && diagnosis.next(Gauge::Auto).is_ok();
-            let more = if is_by_hand { "; readings that a program records do: --gauge auto" } else { "" };
+            let more =
+                if is_by_hand { "; readings that a program records do: --gauge auto" } else { "" };
             report::warn(format_args!("no next run: {why}{more}"));
             return Ok(());
         }

@@ -340,7 +340,8 @@ mod tests {
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let runs = [run];
-        let foresight = AxisForesight::of(&runs, &machine, LinearAxis::X, Gauge::Auto).expect("an axis");
+        let foresight =
+            AxisForesight::of(&runs, &machine, LinearAxis::X, Gauge::Auto).expect("an axis");
         let training = Data::new(&machine, &runs, Quantity::Dx).expect("comparable");
         let all = foresight.candidates();
         let heated =

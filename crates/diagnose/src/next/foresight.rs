@@ -276,7 +276,8 @@ mod tests {
 
     #[test]
     fn a_thermometer_is_foreseen_at_a_speed_that_was_not_run() {
-        let foresight = Foresight::of(&[run(12_000.0).0, run(8000.0).0], Gauge::Hand).expect("it is a run");
+        let foresight =
+            Foresight::of(&[run(12_000.0).0, run(8000.0).0], Gauge::Hand).expect("it is a run");
         assert_eq!((foresight.fastest_rpm, foresight.every_s), (12_000.0, 60.0));
         let (name, response) = &foresight.columns[0];
         let cold = Row { step_s: 0.0, speed: 0.0, load_n: 0.0 };
