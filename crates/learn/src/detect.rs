@@ -51,8 +51,8 @@ const KNOWN: f64 = 4.0;
 const USUAL: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
 const FEWEST: usize = 3;
-/// A reading agrees with an event that makes it seven times as likely, in ln.
-const AGREES: f64 = 2.0;
+/// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
+const AGREES: f64 = 0.7;
 const FEWEST_SCATTER: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
 const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];

@@ -345,7 +345,7 @@ impl Learner<'_> {
             memory.window[last].worn = said.iter().map(short).collect();
         }
         watch(memory, &mut self.believed);
-        wear::watch(memory, self.believed.bank.scatter_um()[0]);
+        wear::watch(memory, self.believed.bank.scatter_um()[1]);
         let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
         self.look(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);

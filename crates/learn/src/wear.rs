@@ -76,7 +76,8 @@ fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
     }
 }
 
-/// Looks at the backlashes after the window's last reading; `scatter_um` of a reading.
+/// Looks at the backlashes after the window's last reading; `scatter_um` of a reading, at the upper end of what it may be.
+/// A wear whose interval no longer excludes zero is taken back.
 pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
     let Some(t_s) = memory.first_s.zip(memory.last_s).map(|(first, last)| last - first) else {
         return;
@@ -100,6 +101,10 @@ pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
         let [size, half] =
             [slope * width_um, 1.96 * (error * width_um).abs()].map(|it| it * t_s / YEAR_S);
         let [size, low, high] = [size, size - half, size + half].map(digits);
+        if let Some(place) = known.filter(|_| slope.abs() <= 1.96 * error) {
+            memory.events.remove(place);
+            continue;
+        }
         if let Some(place) = known {
             let event = &mut memory.events[place];
             (event.size, event.ci95) = (size, [low, high]);

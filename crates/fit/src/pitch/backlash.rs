@@ -79,6 +79,7 @@ pub fn fit_backlash(
         in_order: false,
     };
     let mut readings = Readings::of(run, &wanted)?;
+    let set_aside = readings.set_gross_aside(run, axis);
     let mut differences = differences(&readings);
     if differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
@@ -106,6 +107,7 @@ pub fn fit_backlash(
     let width_um = rounded(width(means.iter().map(|mean| mean.1), rule), DECIMALS);
     let p = chance(&by_target);
     let mut report = report(&readings, &differences, axis, rule, width_um);
+    report.set_aside = set_aside;
     if let Some(feed) = feed {
         feed.say(&mut report, width_um);
     }
