@@ -53,6 +53,9 @@ enum Command {
         /// The first seed.
         #[arg(long, default_value_t = 0)]
         first: u64,
+        /// How many machines that change their tools, after those.
+        #[arg(long, default_value_t = 12)]
+        tools: u64,
         /// On the emulated board, and not on its application in this process.
         #[arg(long)]
         board: bool,
@@ -175,7 +178,7 @@ fn main() -> ExitCode {
     let words = std::env::args_os().filter(|word| word != "--");
     let result = match Cli::parse_from(words).command {
         Command::Demo(options) => run_demo(&options),
-        Command::Hidden { seeds, first, board } => run_hidden(seeds, first, board),
+        Command::Hidden { seeds, first, tools, board } => run_hidden(seeds, first, tools, board),
         Command::Verify(Verify { all: true, .. }) => verify::run(Tier::All),
         Command::Verify(Verify { long: true, .. }) => verify::run(Tier::Long),
         Command::Verify(_) => verify::run(Tier::Quick),
@@ -314,17 +317,24 @@ fn any_seed() -> u64 {
     since.as_micros() as u64 % 1_000_000
 }
 
-fn run_hidden(seeds: u64, first: u64, on_board: bool) -> Result<()> {
+fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
     let boards = if on_board {
         Boards::Emulated(firmware::build(Board::Virtual)?)
     } else {
         Boards::InProcess
     };
-    let mut campaign = Campaign::default();
-    for seed in first..first + seeds {
-        trueup_output::line(campaign.play(&boards, seed)?);
+    type Draw = fn(u64) -> Result<Hidden>;
+    let all: [(u64, &str, Draw); 2] =
+        [(seeds, "", Hidden::draw), (tools, "that change their tools: ", Hidden::draw_with_tools)];
+    for (seeds, which, draw) in all {
+        let mut campaign = Campaign::default();
+        for seed in first..first + seeds {
+            trueup_output::line(campaign.play(&boards, &draw(seed)?)?);
+        }
+        if seeds > 0 {
+            trueup_output::line(format_args!("{which}{}", campaign.text()));
+        }
     }
-    trueup_output::line(campaign.text());
     Ok(())
 }
 

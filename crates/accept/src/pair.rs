@@ -7,7 +7,7 @@ use serde::Serialize;
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
     applied::{Applied, Pairs, Unaided, predicted_um},
-    file::Quantity,
+    file::{Quantity, TOOL_COLUMN},
 };
 
 use crate::Size;
@@ -118,7 +118,7 @@ impl Pair {
             (Some(place), ..) => pair.by_rows([off, on], sides, &place)?,
             (None, Some(off_s), Some(on_s)) => {
                 pair.by_time([&off_s, &on_s], sides);
-                pair.compare_speeds([off, on], [&off_s, &on_s]);
+                pair.compare_driving([off, on], [&off_s, &on_s], machine);
             }
             _ => pair.by_rows([off, on], sides, "row")?,
         }
@@ -241,24 +241,38 @@ impl Pair {
     }
 
     /// Tells where the two were not driven alike.
-    fn compare_speeds(&mut self, runs: [&RunFile; 2], times: [&[f64]; 2]) {
-        let [Some(off), Some(on)] = runs.map(|run| run.column("spindle_rpm")) else { return };
-        let at = |time: f64| {
-            let row = times[1].partition_point(|known| *known < time);
-            on.get(row).copied().unwrap_or(f64::NAN)
-        };
-        let differs = |row: &usize| {
-            let (a, b) = (off[*row], at(times[0][*row]));
-            (a - b).abs() > SAME_SPEED * a.abs().max(b.abs())
-        };
-        let rows = (0..off.len()).filter(differs).count();
-        // Where a speed changes, a row may stand on either side of it.
-        if rows > off.len() / 20 {
-            self.notes.push(format!(
-                "The spindle did not turn alike in the two runs ({rows} of {} rows): what is gone is not \
-                 the compensation's alone.",
-                off.len()
-            ));
+    fn compare_driving(
+        &mut self,
+        runs: [&RunFile; 2],
+        times: [&[f64]; 2],
+        machine: Option<&Machine>,
+    ) {
+        let inputs = machine.and_then(|machine| machine.inputs.as_ref());
+        let conditions = inputs.iter().flat_map(|inputs| inputs.conditions.keys());
+        let conditions = conditions.map(|name| (name.as_str(), format!("{name} was not alike")));
+        let columns = [
+            ("spindle_rpm", "The spindle did not turn alike".to_string()),
+            (TOOL_COLUMN, "The tools were not alike".to_string()),
+        ];
+        for (column, what) in columns.into_iter().chain(conditions) {
+            let [Some(off), Some(on)] = runs.map(|run| run.column(column)) else { continue };
+            let at = |time: f64| {
+                let row = times[1].partition_point(|known| *known < time);
+                on.get(row).copied().unwrap_or(f64::NAN)
+            };
+            let may_differ = if column == "spindle_rpm" { SAME_SPEED } else { 0.0 };
+            let differs = |row: &usize| {
+                let (a, b) = (off[*row], at(times[0][*row]));
+                (a - b).abs() > may_differ * a.abs().max(b.abs())
+            };
+            let rows = (0..off.len()).filter(differs).count();
+            // Where it changes, a row may stand on either side of it.
+            if rows > off.len() / 20 {
+                self.notes.push(format!(
+                    "{what} in the two runs ({rows} of {} rows): what is gone is not the compensation's alone.",
+                    off.len()
+                ));
+            }
         }
     }
 

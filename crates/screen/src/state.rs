@@ -346,6 +346,13 @@ impl State {
         self.offsets.unpaired()
     }
 
+    /// The tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.
+    #[must_use]
+    pub fn conditions(&self) -> Vec<(String, f64)> {
+        let now_ms = (self.now_s * 1_000.0) as u64;
+        self.laws.as_ref().map(|laws| laws.conditions(&self.cnc, now_ms)).unwrap_or_default()
+    }
+
     /// The CNC is heard on this line.
     #[must_use]
     pub fn hears_cnc(&self) -> bool {

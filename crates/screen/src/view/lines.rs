@@ -147,6 +147,7 @@ pub fn offsets(state: &State, theme: Theme, with_shares: bool) -> Vec<Line<'stat
 /// Temperatures and the line.
 pub fn below(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut lines = temperatures(state, width);
+    lines.extend(conditions(state, width));
     lines.push(link(state, theme));
     lines
 }
@@ -166,6 +167,19 @@ fn temperatures(state: &State, width: usize) -> Vec<Line<'static>> {
         })
     });
     packed("Temperatures  ", items, width)
+}
+
+/// Tool and conditions, where a law depends on them.
+fn conditions(state: &State, width: usize) -> Vec<Line<'static>> {
+    let items: Vec<String> = state
+        .conditions()
+        .into_iter()
+        .map(|(name, value)| match value.is_nan() {
+            true => format!("{name} ?"),
+            false => format!("{name} {value}"),
+        })
+        .collect();
+    if items.is_empty() { Vec::new() } else { packed("Conditions  ", items.into_iter(), width) }
 }
 
 fn link(state: &State, theme: Theme) -> Line<'static> {
