@@ -145,7 +145,7 @@ block! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::{format, fs, string::String};
+    use std::{format, fs, string::String, vec::Vec};
 
     #[test]
     fn a_block_has_neither_holes_nor_overlaps() {

@@ -102,6 +102,8 @@ struct Objects {
     reference: BridgeReference,
     /// What was learned, as it is applied, in words; `None`: nothing.
     learned: Option<String>,
+    /// Tool and conditions that its terms go by, in words; `None`: they need none.
+    conditions: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
     asks: Asks,
@@ -128,6 +130,7 @@ impl Objects {
             ),
             reference: BridgeReference::ask(session)?,
             learned: learned(session),
+            conditions: conditions(session),
             faults: fault_words(object::faults(session)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
             asks: Asks::of(session)?,
@@ -168,6 +171,20 @@ fn learned(session: &mut Session) -> Option<String> {
     let amounts =
         object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
     live::text(&amounts)
+}
+
+/// Tool and conditions, in words. A bridge from before it could hear them knows nothing of them.
+fn conditions(session: &mut Session) -> Option<String> {
+    let [tool, bits, origin] =
+        object::CONDITIONS.map(|at| object::number(session, at).unwrap_or_default());
+    let held: Vec<String> =
+        (0..16).filter(|bit| bits & 1 << bit != 0).map(|bit| bit.to_string()).collect();
+    let held = if held.is_empty() { "none".into() } else { format!("bit {}", held.join(", ")) };
+    match origin {
+        1 => Some(format!("tool {tool}; conditions that hold: {held}")),
+        2 => Some("lost: by the defaults of the calibration".into()),
+        _ => None,
+    }
 }
 
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
@@ -315,6 +332,7 @@ impl Info {
         all["reference"] = json!(objects.map(|it| it.reference.json()));
         all["asks"] = json!(objects.map(|it| it.asks.words()));
         all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
+        all["conditions"] = json!(objects.and_then(|it| it.conditions.as_ref()));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
         all["reset_reason"] = json!(objects.map(|it| it.reset.word()));
@@ -347,6 +365,9 @@ impl Info {
         output::print(format_args!("reference    {}", it.reference.text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
         output::print(format_args!("learned      {learned}"))?;
+        if let Some(conditions) = &it.conditions {
+            output::print(format_args!("conditions   {conditions}"))?;
+        }
         let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };

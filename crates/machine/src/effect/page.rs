@@ -438,6 +438,11 @@ pub trait Page {
     /// The measurement that would settle it.
     fn next_test(&self) -> &'static str;
 
+    /// What at the machine may be repaired in place of being corrected.
+    fn repair(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Its values as a finding names them.
     fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
 }

@@ -58,9 +58,14 @@ impl Page for PitchScale {
     }
 
     fn next_test(&self) -> &'static str {
-        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch. Before you correct it, look \
-         at what can be repaired: the pretension of a screw between two bearings, and a screw or scale that is not \
-         parallel to the guide."
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn repair(&self) -> Option<&'static str> {
+        Some(
+            "Before you correct it, look at what can be repaired: the pretension of a screw between two bearings, and a \
+             screw or scale that is not parallel to the guide.",
+        )
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
