@@ -28,6 +28,8 @@ pub const HARDWARE: At = (0x1009, 0);
 pub const SOFTWARE: At = (0x100A, 0);
 /// A hash of the number that its chip has from its factory.
 pub const SERIAL_NUMBER: At = (0x1018, 4);
+/// The offsets of X, Y and Z in nm; [`NOT_AVAILABLE`] where none is.
+pub const OFFSET: [At; 3] = [(0x2000, 1), (0x2000, 2), (0x2000, 3)];
 /// The quality, as in `OffsetZ`.
 pub const QUALITY: At = (0x2001, 1);
 /// The faults 0 to 31, a bit each, and those from 32 on.

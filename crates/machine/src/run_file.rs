@@ -21,6 +21,7 @@ mod order;
 mod places;
 mod plain;
 mod reading;
+mod recorded;
 mod table;
 mod tools;
 

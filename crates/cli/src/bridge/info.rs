@@ -15,7 +15,7 @@ use trueup_client::{
     port::Port,
     reference::BridgeReference,
     session::Session,
-    words::{fault_words, output_json, output_text, state_word, state_words},
+    words::{fault_words, output_json, output_text, state_word, state_words, waits_for},
     writes,
 };
 use trueup_core::cnc::Output;
@@ -315,6 +315,7 @@ impl Info {
     fn json(&self, objects: Option<&Objects>) -> Value {
         let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
         let mut all = output_json(self.output.as_ref());
+        all["waiting_for"] = json!(self.waits_for(objects));
         all["version"] = json!(self.version);
         all["serial"] = json!(self.serial);
         all["heartbeat"] = json!(self.heartbeat.map(state_word));
@@ -342,6 +343,12 @@ impl Info {
         all
     }
 
+    /// For whom the bridge waits that gives no offset.
+    fn waits_for(&self, objects: Option<&Objects>) -> Option<&'static str> {
+        let objects = objects?;
+        waits_for(self.output.as_ref()?.quality, objects.asks.state(), Some(objects.calibration))
+    }
+
     fn print(&self, objects: Option<&Objects>) -> Result<()> {
         let missing = format!("none in {} s", PATIENCE.as_secs());
         if let (Some(version), Some(serial)) = (&self.version, &self.serial) {
@@ -356,7 +363,8 @@ impl Info {
         };
         output::print(format_args!("heartbeat    {heartbeat}"))?;
         let offsets = self.output.as_ref().map_or_else(|| missing.clone(), output_text);
-        output::print(format_args!("offsets      {offsets}"))?;
+        let waits = self.waits_for(objects).map(|what| format!("waiting for {what}: "));
+        output::print(format_args!("offsets      {}{offsets}", waits.unwrap_or_default()))?;
         let Some(it) = objects else { return Ok(()) };
         let Objects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
