@@ -105,7 +105,11 @@ fn diagnosis() -> String {
     let run = hidden.record(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
-    diagnosis.html("an axis", &trueup_page::Origin::default())
+    diagnosis.html(
+        "an axis",
+        &trueup_page::Origin::default(),
+        &["trueup compile m.toml -o m.bin".into()],
+    )
 }
 
 fn acceptance() -> String {
@@ -121,7 +125,7 @@ fn acceptance() -> String {
                 [spindle.warmup]\nlag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n";
     let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a file");
     let it = accept(&run(1.0), &run(0.4), None, Some((file, &machine)), Limits::default());
-    it.expect("comparable").html("a spindle")
+    it.expect("comparable").html("a spindle", &trueup_page::Origin::default(), &[])
 }
 
 /// The page of the loop with LinuxCNC, of figures that nobody has measured.

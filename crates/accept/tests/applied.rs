@@ -86,7 +86,9 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
         assert!(!it.passed && !it.advice.changes.is_empty(), "{:?}", it.advice);
         let first = &it.advice.changes[0];
         assert!((first.to / first.from - 1.4).abs() < 0.03, "{first:?}");
-        assert!(it.html("m").contains("Constants to change"));
+        assert!(
+            it.html("m", &trueup_accept::Origin::default(), &[]).contains("Constants to change")
+        );
     }
 }
 
@@ -124,7 +126,7 @@ fn the_table_of_constants_has_the_digits_that_the_interval_has() {
     let parsed = MachineFile::parse(machine, Path::new("m.toml")).expect("right");
     let believed = Some((machine, &parsed));
     let it = accept(&run(1.0), &run(0.2), None, believed, Limits::default()).expect("comparable");
-    let html = it.html("m");
+    let html = it.html("m", &trueup_accept::Origin::default(), &[]);
     let (_, table) = html.split_once("Constants to change").expect("a table");
     let (table, _) = table.split_once("Part by part").expect("what follows");
     assert!(table.contains("0.0153") && table.contains("0.0191"), "{table}");

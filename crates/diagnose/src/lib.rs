@@ -85,10 +85,31 @@ impl Diagnosis {
         serde_json::to_string_pretty(&self.report)
     }
 
-    /// `report.html`, of a machine of this name; `origin` is what it was made from.
+    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
-    pub fn html(&self, machine_name: &str, origin: &Origin) -> String {
-        answer::html::html(self, machine_name, origin)
+    pub fn html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
+        answer::html::html(self, machine_name, origin, next)
+    }
+
+    /// Returns what an error is of, its RMS before and after in µm: with the machine file as it is, and with
+    /// extended.toml on the board.
+    #[must_use]
+    pub fn before_and_after(&self) -> [(&'static str, f64, f64); 3] {
+        let report = &self.report;
+        let (before, after) = (&report.before, &report.after);
+        let not_fitted = match report.holdout_used {
+            true => "on the hold-out, which has chosen",
+            false => "on rows not used for the fit",
+        };
+        [
+            ("on these rows", before.rms_um, after.compensated_rms_um),
+            (not_fitted, before.holdout_rms_um, after.compensated_holdout_rms_um),
+            (
+                "at the tool, promised for days like these",
+                report.at_tool.before_um,
+                report.at_tool.after_um,
+            ),
+        ]
     }
 
     /// The verdict in a sentence.

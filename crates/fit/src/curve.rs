@@ -71,7 +71,7 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
         report.facts.push(Fact::text(
             format!("compared: {}", way.way),
             format!(
-                "{} coefficients, {:.3} um RMS, at positions left out {left_out:.3} um RMS",
+                "{} coefficients, {:.3} µm RMS, at positions left out {left_out:.3} µm RMS",
                 way.coefficients, way.residual.rms_um
             ),
         ));
@@ -92,7 +92,7 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
     report.facts.push(Fact::text("stopped_because", fit.stopped.to_string()));
     if let Some(tolerance) = fit.tolerance_um.filter(|_| !fit.is_within_tolerance) {
         report.unmet.push(format!(
-            "the largest residual is {:.3} um, the tolerance {tolerance} um: {}",
+            "the largest residual is {:.3} µm, the tolerance {tolerance} µm: {}",
             fit.residual.largest_um, fit.stopped
         ));
     }
@@ -101,8 +101,8 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
         && left.rms_um >= before.rms_um
     {
         report.verdict = Verdict::DoNotCompensate(vec![
-            format!("positions left out are {:.3} um RMS away from the curve", left.rms_um),
-            format!("they are {:.3} um RMS without any", before.rms_um),
+            format!("positions left out are {:.3} µm RMS away from the curve", left.rms_um),
+            format!("they are {:.3} µm RMS without any", before.rms_um),
         ]);
         return report;
     }

@@ -160,11 +160,11 @@ fn main() {
     let of = |index: usize| quantile(days.iter().map(|day| day[index]).collect(), 0.95);
     let (file_um, own_um) = (of(0), of(1));
     println!(
-        "{count} years of two machines: 95 % of days within {file_um:.1} um by the file alone"
+        "{count} years of two machines: 95 % of days within {file_um:.1} µm by the file alone"
     );
-    println!("learned: {own_um:.1} um (target: 3)");
+    println!("learned: {own_um:.1} µm (target: 3)");
     let share = 100.0 * worse as f64 / days.len() as f64;
-    println!("days worse by more than 10 % and 1 um: {share:.2} % (target: 1)");
+    println!("days worse by more than 10 % and 1 µm: {share:.2} % (target: 1)");
     println!("events reported within two shifts: {reported} of {planted} (target: 90 %)");
     println!("of those of 4 times the noise in these two shifts: {large_reported} of {large}");
     println!("named right within ten shifts: {named} of {planted}, among several names: {both}");

@@ -41,7 +41,7 @@ fn six_and_eleven_micrometres_do_not_become_eight_and_a_half() {
     let slow = fitted(&text, None);
     assert!((width(&slow) - 11.0).abs() < 0.5, "{:?}", slow.report);
     let told = slow.report.warnings.join(" ");
-    for part in ["depends on the feed", "um at 200 mm/min", "at 1000 mm/min -", "--feed"] {
+    for part in ["depends on the feed", "µm at 200 mm/min", "at 1000 mm/min -", "--feed"] {
         assert!(told.contains(part), "{part}: {told}");
     }
     let fast = fitted(&text, Some(1000.0));
