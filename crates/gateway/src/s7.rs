@@ -175,8 +175,38 @@ fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        client::tests::{CONFIRM, answer, cpu, set_up, tpkt},
+        *,
+    };
+    use std::sync::{Arc, atomic::AtomicBool};
+    use trueup_client::pinned::{Pinned, Rule};
     use trueup_modbus::cnc::Cnc;
+
+    /// A data block of before tool and conditions ends at byte 97: what reads beyond it gets an error of its item.
+    #[test]
+    fn a_data_block_of_before_is_read_as_far_as_it_goes() {
+        let block = |counter| {
+            let registers = Cnc::default().encode(counter);
+            let bytes: Vec<u8> = registers.iter().flat_map(|it| it.to_be_bytes()).collect();
+            [&[0xFF, 4, 1, 16][..], &bytes[..SHORT_HOLDING_BYTES]].concat()
+        };
+        let mut answers = vec![tpkt(CONFIRM), set_up(1, 240)];
+        let exchanges = [vec![5, 0, 0, 0], block(1), block(2)];
+        for (data, reference) in exchanges.into_iter().zip([2, 4, 6]) {
+            answers.push(answer(reference, &[5, 1], &[0xFF]));
+            answers.push(answer(reference + 1, &[4, 1], &data));
+        }
+        let shared = Shared::new(Arc::new(AtomicBool::new(false)), Pinned::new(Rule::Any));
+        let place = cpu(answers, 1_000);
+        let target =
+            Target { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
+        let mut client = Client::connect(&target.place).expect("a CPU");
+        // It goes at its end.
+        let (why, has_written) = exchange(&shared, &target, &mut client, &End::default());
+        assert!(has_written && matches!(why, Some(Error::Io(_))), "{why:?}");
+        assert_eq!(shared.hub().holding(), Cnc::default().encode(2));
+    }
 
     #[test]
     fn what_a_stopped_program_has_left_in_the_block_is_no_sign_of_life() {
