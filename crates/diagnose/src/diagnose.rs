@@ -109,14 +109,16 @@ pub fn diagnose_for(
     progress("comparing with rivals", 0.92);
     let judged = judge(&problem, &found);
     let known = outliers::judged(&data, &aside, || predictions(&data, &problem, &found));
-    conclude(
+    let mut concluded = conclude(
         data,
         &problem,
         found,
         &judged,
         SetAside { rows: aside, known },
         Asked { runs, hold_out: test.as_ref(), matters_um, bridge: &bridge, notes },
-    )
+    )?;
+    concluded.name_tools(machine);
+    Ok(concluded)
 }
 
 /// What the answer predicts of each row, with curves over what it leaves and without: a law that no cause

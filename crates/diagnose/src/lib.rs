@@ -69,14 +69,31 @@ pub use answer::{
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
 pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
-use trueup_machine::{BadInput, RunFile};
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    tool::{TOOL_COLUMN, label_code},
+};
 pub use trueup_page::Origin;
 
 /// What is to be done with [`Report::missing_inputs`].
-pub const MISSING_INPUTS: &str = "the board reads a thermometer only where [inputs] says on which channel it is: put \
-                                  these lines there, with the channel and the kind of yours";
+pub const MISSING_INPUTS: &str = "the board reads a thermometer, and hears a condition, only where [inputs] says on \
+                                  which channel or bit it is: put these lines there, with the channel, kind or bit of \
+                                  yours";
 
 impl Diagnosis {
+    /// Calls a tool by its label where it has no number.
+    fn name_tools(&mut self, machine: &Machine) {
+        let tools = machine.spindle.tools.iter().flat_map(|tools| &tools.tools);
+        for label in tools.filter_map(|tool| tool.label.as_deref()) {
+            let code = format!("{TOOL_COLUMN} = {}", label_code(label));
+            let named = format!("{TOOL_COLUMN} = {label}");
+            for finding in &mut self.report.findings {
+                let texts = finding.evidence.iter_mut().chain([&mut finding.sentence]);
+                texts.for_each(|text| *text = text.replace(&code, &named));
+            }
+        }
+    }
+
     /// `diagnosis.json`.
     ///
     /// # Errors

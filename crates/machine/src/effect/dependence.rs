@@ -20,7 +20,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{LinearAxis, read::Section, spindle::ElongationSource},
+    file::{LinearAxis, Tools, read::Section, spindle::ElongationSource},
     tool::TOOL_COLUMN,
     location::BadInput,
 };
@@ -83,6 +83,16 @@ impl Dependence {
             Form::Level { .. } => "level",
             Form::Line { .. } => "line",
             Form::Hinge { .. } => "hinge",
+        }
+    }
+
+    /// Puts the numbers of `[spindle.tools]` in the place of labels: a term that was found before its label had a number
+    /// holds for that tool from then on.
+    pub(crate) fn number_labels(&mut self, tools: &Tools) {
+        let Form::Level { levels, .. } = &mut self.form else { return };
+        for level in levels.iter_mut().filter(|_| self.column == TOOL_COLUMN) {
+            let numbered = tools.codes().find(|(code, _)| code == level);
+            *level = numbered.map_or(*level, |(_, number)| number.into());
         }
     }
 
