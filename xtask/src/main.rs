@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
-    book, campaign, debian, structure,
+    book, campaign, debian, release, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{
@@ -120,6 +120,10 @@ enum Command {
         #[arg(long = "try")]
         is_tried: bool,
     },
+    /// Makes what is handed out with a release, in target/release-files: archives, Debian package, images, SHA-256.
+    ///
+    /// Fails in the end where a platform was left out for want of its tool chain; the rest is there.
+    Release,
     /// Makes web pages of the book, docs/book, in target/book.
     Book,
     /// Gets what this machine lacks: target, QEMU, Python clients.
@@ -196,6 +200,7 @@ fn main() -> ExitCode {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))
         }
         Command::Deb { is_tried } => deb(is_tried),
+        Command::Release => make_release(),
         Command::Book => book::render().map(|page| trueup_output::line(page.display())),
         Command::Setup => setup::everything(),
     };
@@ -216,6 +221,17 @@ fn deb(is_tried: bool) -> Result<()> {
     }
     trueup_output::line(package.display());
     Ok(())
+}
+
+fn make_release() -> Result<()> {
+    let made = release::release()?;
+    for file in &made.files {
+        trueup_output::line(made.folder.join(file).display());
+    }
+    if made.left_out.is_empty() {
+        return Ok(());
+    }
+    bail!("the release is not whole: {}", made.left_out.join("\n"))
 }
 
 fn run_demo(options: &Demo) -> Result<()> {

@@ -28,15 +28,16 @@ impl Page {
 
     /// Lines to be filled in by hand: who has measured what by what, and who answers for it.
     pub fn signature(&mut self) {
-        let mut table = Table::new(&["to be filled in", "", "", ""]);
-        for [a, b] in [
-            ["Machine, serial number", "Instrument, its number"],
-            ["Operator", "Calibrated until"],
-            ["Temperature at the start, °C", "Temperature at the end, °C"],
-            ["Date", "Signature"],
+        let mut table = Table::new(&["to be filled in", ""]);
+        for what in [
+            "Machine, serial number",
+            "Instrument, its number",
+            "Calibrated until",
+            "Operator",
+            "Temperature at start and end, °C",
+            "Date, signature",
         ] {
-            let line = "_".repeat(18);
-            table.row(&[a, &line, b, &line]);
+            table.row(&[what, &"_".repeat(20)]);
         }
         self.table(&table);
     }
