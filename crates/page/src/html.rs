@@ -36,14 +36,14 @@ svg .dots{fill:none;stroke-width:4.8;stroke-linecap:round}\
 svg .dots.before{stroke:var(--before)}svg .dots.after{stroke:var(--after)}\
 svg .dots.measured{stroke:var(--measured)}svg .dots.truth{stroke:var(--truth)}\
 span.before,b.before{color:var(--before)}span.after,b.after{color:var(--after)}\
-.w{white-space:nowrap}.key{white-space:nowrap;margin-left:.8rem;font-weight:600}.key::before{content:\"● \"}\
+@media(min-width:601px){.w{white-space:nowrap}}.key{white-space:nowrap;margin-left:.8rem;font-weight:600}.key::before{content:\"● \"}\
 .key.measured{color:var(--measured)}.key.truth{color:var(--truth)}\
 .bars div{display:grid;grid-template-columns:minmax(7rem,16rem) 1fr 3rem;gap:.5rem;align-items:center;\
 margin:.2rem 0}.bars .track{background:var(--card);height:.8rem}.bars i{display:block;height:100%}\
 .bars i.before{background:var(--before)}.bars i.after{background:var(--after)}.bars b{text-align:right}\
 .table{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
 td,th{padding:.2rem .8rem .2rem 0;text-align:right;vertical-align:top;border-bottom:1px solid var(--rule);\
-overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .4rem .15rem 0;font-size:.75rem}}\
+overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .25rem .15rem 0;font-size:.66rem}}\
 pre{font-size:.8rem;white-space:pre;overflow-x:auto}summary{cursor:pointer;margin:.8rem 0}\
 .left td,.left th{text-align:left}td:first-child,th:first-child,td.text{text-align:left}\
 @page{size:A4;margin:15mm}\

@@ -1,5 +1,5 @@
 //! Words with a hyphen (`sensor-gain`, `2026-11-22`) that stand alone, as in the cell of a table: a browser may end a line
-//! behind any hyphen between letters, and does so in a narrow column.
+//! behind any hyphen between letters, and does so in a narrow column. On a telephone it may: a table has to fit there.
 
 /// A word longer than this does not fit a telephone, and may be broken.
 const LONGEST: usize = 40;
