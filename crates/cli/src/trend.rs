@@ -90,7 +90,11 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
                 if !notes.contains(&note) {
                     notes.push(note);
                 }
-                dated::of_run(&run)
+                let of_run = dated::of_run(&run);
+                notes.extend(of_run.outliers.iter().map(|(place, um)| {
+                    format!("{}:{}: {um:+.1} µm, excluded as an outlier", name, place.line)
+                }));
+                of_run.constants
             }
         };
         if constants.is_empty() {

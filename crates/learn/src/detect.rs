@@ -29,7 +29,7 @@ pub(crate) const DOUBTFUL: f64 = 6.9;
 const BAD: f64 = 0.05;
 const RANGE_UM: f64 = 200.0;
 /// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
-const MATERIAL: f64 = 2.5;
+const MATERIAL: f64 = 3.0;
 /// The smallest event that acts on the estimate, in µm: any tool setter keeps 5 µm, and the estimate follows by itself what a
 /// machine ages by over a weekend (with multiples of the scatter alone the worst of sixty months that age fast is followed worse
 /// than to 3.5 µm). It is reported all the same.
