@@ -341,7 +341,8 @@ impl Learner<'_> {
         if taken.used {
             let missed_um =
                 replay::level(memory, &memory.window[last], sequence, None) - times(g, &lasting);
-            let said = wear::said(&memory.constants, g, &lasting, missed_um, scatter_um);
+            let before = &memory.window[..last];
+            let said = wear::said(&memory.constants, before, g, &lasting, missed_um, scatter_um);
             memory.window[last].worn = said.iter().map(short).collect();
         }
         watch(memory, &mut self.believed);
