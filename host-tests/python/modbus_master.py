@@ -14,7 +14,7 @@ from pymodbus import ModbusException
 from pymodbus.client import ModbusTcpClient
 
 INPUT_REGISTERS, HOLDING_REGISTERS = 28, 17
-INPUT_ID, HOLDING_ID = 0x0181, 0x0302
+INPUT_ID, HOLDING_ID, CONDITIONS_ID = 0x0181, 0x0302, 0x0402
 ENGAGE, REFERENCED = 1, 2
 OFF, LIVE, HOLD, RAMPING_OUT, FAULT = 0, 1, 4, 5, 6
 PATIENCE_S = 60.0
@@ -60,20 +60,25 @@ class Plc:
             "temps_c": [it / 100 for it in struct.unpack(">8h", raw[38:54])],
         }
 
-    def block(self, control, counter=None, damage=False):
+    def block(self, control, counter=None, damage=False, conditions=None):
+        """17 registers, or 20 with tool and conditions."""
         if counter is None:
             self.counter = (self.counter + 1) & 0xFFFF
             counter = self.counter
         words = [counter, control, 0b10000, 0] + [0] * 10 + [24000, 0]
-        return words + [crc(words, HOLDING_ID) ^ damage]
+        if conditions is None:
+            return words + [crc(words, HOLDING_ID) ^ damage]
+        words[2] |= 0b100000
+        words += [crc(words, HOLDING_ID), *conditions]
+        return words + [crc(words, CONDITIONS_ID) ^ damage]
 
     def write(self, control, **how):
         return self.client.write_registers(0, self.block(control, **how), device_id=1)
 
-    def live_until(self, control, wanted):
+    def live_until(self, control, wanted, **how):
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
-            self.write(control)
+            self.write(control, **how)
             said = self.read()
             if wanted(said):
                 return said

@@ -5,7 +5,7 @@ import socket
 from snap7.server import Server
 from snap7.type import SrvArea
 
-INPUT_BYTES, HOLDING_AT, BLOCK_BYTES = 56, 64, 98
+INPUT_BYTES, HOLDING_AT, BLOCK_BYTES = 56, 64, 104
 
 
 def free_port():

@@ -12,7 +12,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
-use support::{Bridge, GROWN_UM, Running, trueup};
+use support::{Bridge, FAST_MACHINE, GROWN_RUN, GROWN_UM, Running, trueup};
 use trueup_emulator::setup;
 
 /// Noise after the filter, the rounding of a code and of the wire.
@@ -27,7 +27,10 @@ struct World {
 
 impl World {
     fn start() -> Result<Self> {
-        let bridge = Bridge::start_grown()?;
+        Self::before(Bridge::start_grown()?)
+    }
+
+    fn before(bridge: Bridge) -> Result<Self> {
         let mut command = trueup()?;
         command.args(["gateway", "modbus", "--listen", "127.0.0.1:0", "--port"]);
         command.arg(format!("tcp:{}", bridge.address()));
@@ -84,6 +87,63 @@ fn pymodbus_engages_it_reads_it_and_gets_the_exception_that_the_standard_names()
     assert_eq!(saw["silent"], json!([1, 4, 5, 0]));
     assert_eq!(saw["ramp turns back"], false);
     assert_eq!(saw["silent at the end"], json!([0, 0.0]));
+    Ok(())
+}
+
+/// Z by tool, X by a condition; the spindle turns at 24 000 r/min.
+const BY_TOOL: &str = "\
+[inputs.coolant_on]
+kind = \"condition\"
+bit = 9
+
+[spindle.tools]
+7 = { um_per_krpm2 = 0.02 }
+12 = { um_per_krpm2 = -0.01 }
+default = { um_per_krpm2 = 0.005 }
+
+[[term]]
+cause = \"dependence\"
+quantity = \"dx\"
+column = \"coolant_on\"
+form = \"level\"
+levels = [0.0, 1.0]
+level_um = [0.0, 3.0]
+";
+
+#[test]
+fn pymodbus_says_the_tool_and_a_condition_and_the_offset_follows_them() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let machine = support::file(&folder, "m.toml", &format!("{FAST_MACHINE}\n{BY_TOOL}"))?;
+    let run = support::file(&folder, "run.csv", GROWN_RUN)?;
+    let bridge = Bridge::start(&["--machine", &machine, "--run", &run, "--speed", "1"])?;
+    let world = World::before(bridge)?;
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python/modbus_tool.py"))
+        .args(["127.0.0.1", &world.port])
+        .stdin(Stdio::null())
+        .output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{said}\nthe gateway: {}", world.gateway.said());
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    println!("{saw:#}");
+    let is_at = |said: &Value, [x_um, by_tool_um]: [f64; 2]| {
+        let at = |axis: usize| said["offset_um"][axis].as_f64().unwrap_or(f64::NAN);
+        (at(0) - x_um).abs() < TOLERANCE_UM
+            && (at(2) - GROWN_UM - by_tool_um).abs() < TOLERANCE_UM
+            && (&said["quality"], &said["state"]) == (&json!(1), &json!(0))
+    };
+    for (name, offset_um) in [
+        ("tool 7", [0.0, 0.02 * 576.0]),
+        ("tool 12", [0.0, -0.01 * 576.0]),
+        ("another tool", [0.0, 0.005 * 576.0]),
+        ("no tool, coolant", [-3.0, 0.005 * 576.0]),
+        ("after", [-3.0, 0.005 * 576.0]),
+    ] {
+        assert!(is_at(&saw[name], offset_um), "{name}: {}", saw[name]);
+    }
+    assert_eq!(saw["read back"], json!([0, 512]));
+    assert_eq!((&saw["damaged"], &saw["after"]["last_refused"]), (&Value::Null, &json!(2)));
+    assert_eq!((&saw["19 registers"], &saw["wrong"]), (&json!(2), &json!([])));
     Ok(())
 }
 

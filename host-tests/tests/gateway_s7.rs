@@ -16,7 +16,9 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use serde_json::{Value, json};
 use support::{Bridge, GROWN_UM, Running, trueup};
+use trueup_core::cnc::Conditions;
 use trueup_emulator::setup;
+use trueup_modbus::cnc::Checker;
 
 /// Noise after the filter, the rounding of a code, of the wire and of a REAL.
 const TOLERANCE_UM: f64 = 0.4;
@@ -322,6 +324,30 @@ fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Resu
     // K₀ is not taken for the whole by a program without slopes.
     assert_eq!(values(&saw["refused"]), [0.0; 6]);
     assert!(number(&saw["rejected"]) > 20.0, "{}", saw["rejected"]);
+    Ok(())
+}
+
+#[test]
+fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_checks_them()
+-> Result<()> {
+    let _alone = alone();
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python/s7_tool.py"))
+        .output()?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let blocks: Vec<String> = serde_json::from_slice(&output.stdout)?;
+    let mut checker = Checker::default();
+    let mut said = Vec::new();
+    for block in &blocks {
+        let word = |n: usize| u16::from_str_radix(&block[4 * n..4 * n + 4], 16);
+        let mut registers = [0; 20];
+        for (n, register) in registers.iter_mut().enumerate() {
+            *register = word(n)?;
+        }
+        said.push(checker.accept(&registers)?.conditions);
+    }
+    let conditions = |tool, bits| Some(Conditions { tool, bits });
+    assert_eq!(said, [None, conditions(7, 0x8200), conditions(65_535, 0), None]);
     Ok(())
 }
 

@@ -16,6 +16,10 @@ fn board_and_host_send_the_same_frames_and_a_tick_takes_few_instructions() {
     // What watches every source, in use or not, costs some seventy of them, the run-out some twenty.
     assert!(number("/tick_instructions/median") <= 1_680);
     assert!(number("/tick_instructions/max") <= 2_220);
+    // Four terms by tool and condition.
+    let [with, without] =
+        ["/tick_by_tool_instructions/median", "/tick_instructions/median"].map(number);
+    assert!(with - without <= 150, "{with} {without}");
     assert!(number("/millisecond_instructions/median") <= 5_600);
     assert!(number("/millisecond_instructions/max") <= 6_600);
     assert!(number("/spline_eval/ours") <= 40);

@@ -25,7 +25,7 @@ use trueup_machine::{MachineFile, RunFile};
 use trueup_page::micrometres;
 
 /// Asks the page itself, once it is laid out: how wide the window is, what reaches beyond it or out of its
-/// own box, and what was said to be an error.
+/// own box, which words and numbers a line's end cuts, and what was said to be an error.
 const PROBE: &str = r#"<script>
 const errors = []; addEventListener('error', event => errors.push(event.message));
 addEventListener('load', () => {
@@ -34,10 +34,21 @@ addEventListener('load', () => {
     if (it.getBoundingClientRect().right > wide + 1) cut.push(it.tagName + ':' + it.textContent.slice(0, 40));
   for (const it of document.querySelectorAll('.table'))
     if (it.scrollWidth > it.clientWidth + 1) cut.push('table:' + it.textContent.slice(0, 40));
+  const broken = [], texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let text; text = texts.nextNode();) {
+    if (text.parentElement.closest('script,style,svg,pre')) continue;
+    for (const word of text.textContent.matchAll(/[^\s-]+/g)) {
+      const range = document.createRange();
+      range.setStart(text, word.index);
+      range.setEnd(text, word.index + word[0].length);
+      const lines = [...range.getClientRects()].filter(it => it.width > 0.5).map(it => Math.round(it.top));
+      if (new Set(lines).size > 1) broken.push(word[0]);
+    }
+  }
   const dark = matchMedia('(prefers-color-scheme: dark)').matches;
   const paper = getComputedStyle(document.body).backgroundColor;
   parent.postMessage(JSON.stringify(
-    {wide, scroll: document.documentElement.scrollWidth, cut, errors, dark, paper}), '*');
+    {wide, scroll: document.documentElement.scrollWidth, cut, broken, errors, dark, paper}), '*');
 });
 </script></head>"#;
 /// A browser's window has a least width, a frame in it has not.
@@ -105,7 +116,11 @@ fn diagnosis() -> String {
     let run = hidden.record(0, false).expect("a record");
     let machine = MachineFile::parse(&hidden.plant.machine, Path::new("m.toml")).expect("a file");
     let diagnosis = diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable");
-    diagnosis.html("an axis", &trueup_page::Origin::default())
+    diagnosis.html(
+        "an axis",
+        &trueup_page::Origin::default(),
+        &["trueup compile m.toml -o m.bin".into()],
+    )
 }
 
 fn acceptance() -> String {
@@ -121,7 +136,7 @@ fn acceptance() -> String {
                 [spindle.warmup]\nlag_s = 0.0\nwarm_s = 7200.0\nmax_um = 36.0\nexponent = 4.0\n";
     let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a file");
     let it = accept(&run(1.0), &run(0.4), None, Some((file, &machine)), Limits::default());
-    it.expect("comparable").html("a spindle")
+    it.expect("comparable").html("a spindle", &trueup_page::Origin::default(), &[])
 }
 
 /// The page of the loop with LinuxCNC, of figures that nobody has measured.
@@ -186,6 +201,7 @@ fn no_page_is_cut_or_wrong_in_a_browser() {
                 "{name}: {said}"
             );
             assert_eq!(said["cut"], serde_json::json!([]), "{name} at {width} px");
+            assert_eq!(said["broken"], serde_json::json!([]), "{name} at {width} px");
             assert_eq!(said["errors"], serde_json::json!([]), "{name}");
             papers.push(said["paper"].clone());
         }

@@ -2,8 +2,8 @@
 //! compiler settings.
 //!
 //! It runs in QEMU with `-icount shift=0`, where TIM2 runs at 1 GHz of emulated time and counts
-//! one for each executed instruction. Its working directory has `calibration.bin`, `curves.bin`
-//! and `vectors`; it writes `numbers`, one name and its values a line.
+//! one for each executed instruction. Its working directory has `calibration.bin`, `by_tool.bin` (the same
+//! machine with four terms by tool and condition), `curves.bin` and `vectors`; it writes `numbers`, one name and its values a line.
 //!
 //! Each piece of work is called through a pointer that the compiler cannot see through, so that
 //! nothing moves across the two readings of the clock. The same call of a function that only
@@ -54,22 +54,28 @@ const TABLE: usize = 1_024;
 #[entry]
 fn main() -> ! {
     static mut CALIBRATION: [u8; MAX_SIZE] = [0; MAX_SIZE];
+    static mut BY_TOOL: [u8; MAX_SIZE] = [0; MAX_SIZE];
     static mut CURVES: [u8; MAX_SIZE] = [0; MAX_SIZE];
     static mut COSTS: [u16; POSITIONS] = [0; POSITIONS];
     start_clock();
     let calibration = decode(read(c"calibration.bin", CALIBRATION)).expect("calibration.bin");
+    let by_tool = decode(read(c"by_tool.bin", BY_TOOL)).expect("by_tool.bin");
     let curves = decode(read(c"curves.bin", CURVES)).expect("curves.bin");
     let mut number = [0; 4];
     read(c"vectors", &mut number);
 
     let mut text = String::<4096>::new();
-    tick(&calibration, COSTS, &mut text);
+    tick(&calibration, ["tick", "hear", "millisecond", "live"], COSTS, &mut text);
+    let names = ["tick_by_tool", "hear_by_tool", "millisecond_by_tool", "live_by_tool"];
+    tick(&by_tool, names, COSTS, &mut text);
     parts(&calibration, COSTS, &mut text);
     for curve in curves.straightness.iter().filter(|curve| !curve.is_empty()) {
         spline(curve, COSTS, &mut text);
     }
     let checksum = vectors::checksum(calibration, u32::from_le_bytes(number));
     writeln!(text, "checksum {checksum}").expect("space");
+    let checksum = vectors::checksum(by_tool, u32::from_le_bytes(number));
+    writeln!(text, "checksum_by_tool {checksum}").expect("space");
     let mut file = File::create(c"numbers").expect("numbers");
     file.write_all(text.as_bytes()).expect("numbers");
     process::exit(0)
@@ -131,7 +137,12 @@ fn say(text: &mut String<4096>, name: &str, costs: &mut [u16]) {
 }
 
 /// A millisecond of the board: the frames of the CNC, as often as it sends them, then the tick.
-fn tick(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
+fn tick(
+    calibration: &Calibration<'_>,
+    names: [&str; 4],
+    costs: &mut [u16],
+    text: &mut String<4096>,
+) {
     let (ticks, costs) = costs.split_at_mut(TICKS);
     let (heard, costs) = costs.split_at_mut(TICKS);
     let both = &mut costs[..TICKS];
@@ -151,10 +162,11 @@ fn tick(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096
         *both = *hear + *tick;
         live += u32::from(run.node().last().quality == Quality::Live);
     }
-    say(text, "tick", ticks);
-    say(text, "hear", heard);
-    say(text, "millisecond", both);
-    writeln!(text, "live {live} {TICKS}").expect("space");
+    let [of_tick, of_hear, of_both, of_live] = names;
+    say(text, of_tick, ticks);
+    say(text, of_hear, heard);
+    say(text, of_both, both);
+    writeln!(text, "{of_live} {live} {TICKS}").expect("space");
 }
 
 fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {

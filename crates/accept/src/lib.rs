@@ -21,6 +21,7 @@ use trueup_numerics::line::Summary;
 
 pub use advice::{Advice, Change};
 use pair::{Pair, Part};
+pub use trueup_page::Origin;
 
 /// What is asked for.
 #[derive(Clone, Copy, Debug)]
@@ -110,10 +111,10 @@ impl Acceptance {
         self.adjusted.as_deref()
     }
 
-    /// The printable page, of this name.
+    /// Returns the printable page, of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
-    pub fn html(&self, name: &str) -> String {
-        page::html(self, name)
+    pub fn html(&self, name: &str, origin: &Origin, next: &[String]) -> String {
+        page::html(self, name, origin, next)
     }
 }
 

@@ -1,15 +1,15 @@
 //! The printable page: passed or not, what to change, the two runs as a picture, part by part.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, micrometres, time_unit, within};
+use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres, time_unit, within};
 
 use crate::{Acceptance, advice::digits};
 
-pub(crate) fn html(it: &Acceptance, name: &str) -> String {
+pub(crate) fn html(it: &Acceptance, name: &str, origin: &Origin, next: &[String]) -> String {
     let mut page = Page::new(&format!("Acceptance of {name}"));
     let mut sentences = it.unmet.clone();
     sentences.extend(it.advice.sentences.iter().cloned());
     let (state, heading) = if it.passed { ("good", "Passed") } else { ("bad", "Not passed") };
-    page.card(state, heading, &sentences);
+    page.card_then(state, heading, &sentences, next);
     page.figures(&[
         (micrometres(it.before.rms_um), "RMS error without compensation".into(), "before"),
         (micrometres(it.after.rms_um), "with it".into(), "after"),
@@ -69,7 +69,8 @@ pub(crate) fn html(it: &Acceptance, name: &str) -> String {
     page.table(&table);
     page.note(&format!("{} readings of {} that both runs have.", it.rows, it.quantity));
     page.list(&it.notes);
-    page.note("Date, name, machine: ______________________________");
+    page.signature();
+    page.origin(origin);
     page.html()
 }
 

@@ -1,13 +1,17 @@
 //! The two runs side by side: the same time since the start, or the same positions in the same order.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, collections::BTreeMap};
 
 use serde::Serialize;
 
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
     applied::{Applied, Pairs, Unaided, predicted_um},
-    file::Quantity,
+    file::{Quantity, TOOL_COLUMN},
+};
+use trueup_numerics::{
+    repeats::{self, arrivals, gross, places},
+    robust::{FEWEST_IN_SERIES, in_series},
 };
 
 use crate::Size;
@@ -51,19 +55,68 @@ pub struct Pair {
     pub notes: Vec<String>,
 }
 
+/// What readings are compared over.
+#[derive(Clone, Copy)]
+enum Over<'a> {
+    Time(&'a [f64]),
+    Place(&'a str),
+}
+
+/// Returns the rows of a time series that leave it alone. A burst counts: what lasts is what the machine does.
+fn alone_in_time(time_s: &[f64], um: &[f64]) -> Vec<usize> {
+    let found: Vec<usize> = in_series(time_s, um).iter().map(|outlier| outlier.row).collect();
+    let is_alone = |row: &&usize| {
+        let mut others = found.iter().filter(|other| other != row);
+        !others.any(|other| other.abs_diff(**row) <= 2)
+    };
+    found.iter().filter(is_alone).copied().collect()
+}
+
+/// Returns the rows that stand alone among the repeats of their place and direction: in the series of the place's own readings
+/// where these are many, since the machine may warm from one to the next; else among all repeats.
+fn alone_at_place(run: &RunFile, name: &str, um: &[f64]) -> Vec<usize> {
+    let (Some(at), Some(axis)) = (run.column(name), name.get(..1)) else { return Vec::new() };
+    let rows: Vec<usize> =
+        (0..run.rows()).filter(|row| at[*row].is_finite() && um[*row].is_finite()).collect();
+    let positions: Vec<f64> = rows.iter().map(|row| at[*row]).collect();
+    let (_, place_of) = places(&positions, 10.0 * SAME_PLACE_MM);
+    let directions = run.column(&format!("dir_{axis}"));
+    let side = |row: usize| usize::from(directions.is_some_and(|all| all[row] < 0.0));
+    let stops: Vec<(usize, usize)> =
+        rows.iter().zip(place_of).map(|(row, place)| (place, side(*row))).collect();
+    let mut of_stop: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    for (row, stop) in rows.iter().zip(&stops) {
+        of_stop.entry(*stop).or_default().push(*row);
+    }
+    if of_stop.values().all(|rows| rows.len() >= FEWEST_IN_SERIES) {
+        let alone = of_stop.into_values().flat_map(|rows| {
+            let numbers: Vec<f64> = (0..rows.len()).map(|number| number as f64).collect();
+            let um: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
+            alone_in_time(&numbers, &um).into_iter().map(move |number| rows[number])
+        });
+        let mut alone: Vec<usize> = alone.collect();
+        alone.sort_unstable();
+        // One after the other at different places: it lasts.
+        let lasts = |row: &usize| alone.iter().any(|it| it.abs_diff(*row) == 1);
+        return alone.iter().filter(|row| !lasts(row)).copied().collect();
+    }
+    let cycles = arrivals(&stops);
+    let readings = rows.iter().zip(stops).zip(cycles).map(|((row, (place, side)), cycle)| {
+        repeats::Reading { place, side, cycle, value: um[*row] }
+    });
+    let found = gross(&readings.collect::<Vec<_>>());
+    rows.into_iter().zip(found).filter(|(_, found)| *found).map(|(row, _)| row).collect()
+}
+
 /// One of the runs, row by row: what was measured, what the bridge applied, what the machine file predicts.
-struct Side<'r> {
-    measured_um: &'r [f64],
+struct Side {
+    measured_um: Vec<f64>,
     offset_um: Vec<f64>,
     predicted_um: Vec<f64>,
 }
 
-impl<'r> Side<'r> {
-    fn of(
-        run: &'r RunFile,
-        quantity: Quantity,
-        machine: Option<&Machine>,
-    ) -> Result<Self, BadInput> {
+impl Side {
+    fn of(run: &RunFile, quantity: Quantity, machine: Option<&Machine>) -> Result<Self, BadInput> {
         let measured_um = run.require(&format!("measured_{}_um", quantity.name()))?;
         let unaided = |machine| Unaided::of(Cow::Borrowed(run), machine, Some(quantity)).ok();
         // Another calibration is compared all the same: without the file the tool points down.
@@ -76,7 +129,28 @@ impl<'r> Side<'r> {
         };
         let predicted = machine.and_then(|machine| predicted_um(machine, run, quantity));
         let predicted_um = predicted.unwrap_or_else(|| vec![f64::NAN; run.rows()]);
-        Ok(Self { measured_um, offset_um, predicted_um })
+        Ok(Self { measured_um: measured_um.to_vec(), offset_um, predicted_um })
+    }
+
+    /// Takes out the readings that stand alone; the sentence that lists them by line.
+    fn exclude(&mut self, run: &RunFile, quantity: Quantity, over: Over<'_>) -> Option<String> {
+        let found = match over {
+            Over::Time(time_s) => alone_in_time(time_s, &self.measured_um),
+            Over::Place(name) => alone_at_place(run, name, &self.measured_um),
+        };
+        let column = format!("measured_{}_um", quantity.name());
+        let said = found.iter().map(|row| {
+            format!("{} ({:+.1} µm)", run.place(*row, &column).line, self.measured_um[*row])
+        });
+        let said: Vec<String> = said.collect();
+        found.iter().for_each(|row| self.measured_um[*row] = f64::NAN);
+        let path = run.path().display();
+        (!said.is_empty()).then(|| {
+            format!(
+                "Excluded as outliers in {path}: line {}. They do not count.",
+                said.join(", line ")
+            )
+        })
     }
 
     fn row(&self, row: usize) -> [f64; 3] {
@@ -95,7 +169,7 @@ impl Pair {
     ) -> Result<Self, BadInput> {
         let quantity = quantity_of(off, on, asked)?;
         let side = |run| Side::of(run, quantity, machine);
-        let sides = &[side(off)?, side(on)?];
+        let mut sides = [side(off)?, side(on)?];
         let mut pair = Self {
             quantity,
             at: Vec::new(),
@@ -114,11 +188,21 @@ impl Pair {
         };
         let axis = quantity.axis().map(|axis| format!("{}_mm", axis.name()));
         let place = axis.filter(|name| off.column(name).is_some() && on.column(name).is_some());
+        for (run, side) in [off, on].into_iter().zip(&mut sides) {
+            let times = times(run).unwrap_or_default();
+            let over = match &place {
+                Some(name) => Over::Place(name),
+                None if times.is_empty() => continue,
+                None => Over::Time(&times),
+            };
+            pair.notes.extend(side.exclude(run, quantity, over));
+        }
+        let sides = &sides;
         match (place, times(off), times(on)) {
             (Some(place), ..) => pair.by_rows([off, on], sides, &place)?,
             (None, Some(off_s), Some(on_s)) => {
                 pair.by_time([&off_s, &on_s], sides);
-                pair.compare_speeds([off, on], [&off_s, &on_s]);
+                pair.compare_driving([off, on], [&off_s, &on_s], machine);
             }
             _ => pair.by_rows([off, on], sides, "row")?,
         }
@@ -144,7 +228,7 @@ impl Pair {
     }
 
     /// Readings of `off`, each with what `on` showed at that time since its start, linear between.
-    fn by_time(&mut self, [off_s, on_s]: [&[f64]; 2], [off, on]: &[Side<'_>; 2]) {
+    fn by_time(&mut self, [off_s, on_s]: [&[f64]; 2], [off, on]: &[Side; 2]) {
         self.over = "time_s".into();
         let is_known = |time: f64, um: f64| time.is_finite() && um.is_finite();
         let known: Vec<(f64, usize)> = on_s
@@ -208,7 +292,7 @@ impl Pair {
     fn by_rows(
         &mut self,
         [off, on]: [&RunFile; 2],
-        sides: &[Side<'_>; 2],
+        sides: &[Side; 2],
         over: &str,
     ) -> Result<(), BadInput> {
         if off.rows() != on.rows() {
@@ -241,24 +325,38 @@ impl Pair {
     }
 
     /// Tells where the two were not driven alike.
-    fn compare_speeds(&mut self, runs: [&RunFile; 2], times: [&[f64]; 2]) {
-        let [Some(off), Some(on)] = runs.map(|run| run.column("spindle_rpm")) else { return };
-        let at = |time: f64| {
-            let row = times[1].partition_point(|known| *known < time);
-            on.get(row).copied().unwrap_or(f64::NAN)
-        };
-        let differs = |row: &usize| {
-            let (a, b) = (off[*row], at(times[0][*row]));
-            (a - b).abs() > SAME_SPEED * a.abs().max(b.abs())
-        };
-        let rows = (0..off.len()).filter(differs).count();
-        // Where a speed changes, a row may stand on either side of it.
-        if rows > off.len() / 20 {
-            self.notes.push(format!(
-                "The spindle did not turn alike in the two runs ({rows} of {} rows): what is gone is not \
-                 the compensation's alone.",
-                off.len()
-            ));
+    fn compare_driving(
+        &mut self,
+        runs: [&RunFile; 2],
+        times: [&[f64]; 2],
+        machine: Option<&Machine>,
+    ) {
+        let inputs = machine.and_then(|machine| machine.inputs.as_ref());
+        let conditions = inputs.iter().flat_map(|inputs| inputs.conditions.keys());
+        let conditions = conditions.map(|name| (name.as_str(), format!("{name} was not alike")));
+        let columns = [
+            ("spindle_rpm", "The spindle did not turn alike".to_string()),
+            (TOOL_COLUMN, "The tools were not alike".to_string()),
+        ];
+        for (column, what) in columns.into_iter().chain(conditions) {
+            let [Some(off), Some(on)] = runs.map(|run| run.column(column)) else { continue };
+            let at = |time: f64| {
+                let row = times[1].partition_point(|known| *known < time);
+                on.get(row).copied().unwrap_or(f64::NAN)
+            };
+            let may_differ = if column == "spindle_rpm" { SAME_SPEED } else { 0.0 };
+            let differs = |row: &usize| {
+                let (a, b) = (off[*row], at(times[0][*row]));
+                (a - b).abs() > may_differ * a.abs().max(b.abs())
+            };
+            let rows = (0..off.len()).filter(differs).count();
+            // Where it changes, a row may stand on either side of it.
+            if rows > off.len() / 20 {
+                self.notes.push(format!(
+                    "{what} in the two runs ({rows} of {} rows): what is gone is not the compensation's alone.",
+                    off.len()
+                ));
+            }
         }
     }
 

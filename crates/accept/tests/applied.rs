@@ -86,7 +86,9 @@ fn a_cnc_that_applies_the_offset_once_is_judged_as_before() {
         assert!(!it.passed && !it.advice.changes.is_empty(), "{:?}", it.advice);
         let first = &it.advice.changes[0];
         assert!((first.to / first.from - 1.4).abs() < 0.03, "{first:?}");
-        assert!(it.html("m").contains("Constants to change"));
+        assert!(
+            it.html("m", &trueup_accept::Origin::default(), &[]).contains("Constants to change")
+        );
     }
 }
 
@@ -124,10 +126,39 @@ fn the_table_of_constants_has_the_digits_that_the_interval_has() {
     let parsed = MachineFile::parse(machine, Path::new("m.toml")).expect("right");
     let believed = Some((machine, &parsed));
     let it = accept(&run(1.0), &run(0.2), None, believed, Limits::default()).expect("comparable");
-    let html = it.html("m");
+    let html = it.html("m", &trueup_accept::Origin::default(), &[]);
     let (_, table) = html.split_once("Constants to change").expect("a table");
     let (table, _) = table.split_once("Part by part").expect("what follows");
     assert!(table.contains("0.0153") && table.contains("0.0191"), "{table}");
     let [low, high] = it.advice.changes[0].ci95.expect("fitted");
     assert!(high > low && !table.contains("0.02 … 0.02") && !table.contains("0.01 … 0.01"));
+}
+
+#[test]
+fn a_bad_reading_is_excluded_by_its_line_and_what_lasts_counts() {
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
+    for quantity in ["elongation", "dx"] {
+        let off = run(quantity, 1.0, None, 0.3, 1);
+        let on = run(quantity, 1.0, Some(1.0), 0.3, 2);
+        let spoiled = |run: &RunFile, rows: std::ops::Range<usize>| {
+            run.altered(run.rows(), |column, values| {
+                if column.starts_with("measured_") {
+                    values[rows.clone()].iter_mut().for_each(|um| *um += 45.0);
+                }
+            })
+        };
+        let limits = Limits { limit_um: Some(5.0), ..Limits::default() };
+        let judged = |off: &RunFile, on: &RunFile| {
+            accept(off, on, None, Some((MACHINE, &machine)), limits).expect("comparable")
+        };
+        let it = judged(&spoiled(&off, 30..31), &spoiled(&on, 70..71));
+        assert!(it.passed, "{quantity}: {:?} {:?}", it.unmet, it.notes);
+        let listed: Vec<&String> =
+            it.notes.iter().filter(|it| it.starts_with("Excluded as outliers")).collect();
+        assert!(listed.len() == 2 && listed[0].contains("line 32 (+"), "{listed:?}");
+        assert!(listed[1].contains("line 72 (+"), "{listed:?}");
+        // Three readings in a row are what the machine does.
+        let it = judged(&off, &spoiled(&on, 70..73));
+        assert!(!it.passed && it.after.max_um > 40.0, "{quantity}: {:?}", it.notes);
+    }
 }

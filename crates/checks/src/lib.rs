@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally
-//!  campaign: soak      book: the manual, and the links of all documents      debian: the package
+//!  campaign: soak      book: the manual, and the links of all documents      debian, release: what is handed out
 //! ```
 #![forbid(unsafe_code)]
 
@@ -11,6 +11,7 @@ pub mod book;
 pub mod campaign;
 mod cargo;
 pub mod debian;
+pub mod release;
 pub mod structure;
 mod supply_chain;
 mod tally;

@@ -11,9 +11,9 @@ use trueup_accept::{Acceptance, Limits, accept};
 use trueup_machine::{MachineFile, file};
 
 use crate::{
-    Outcome, UserError,
+    Outcome, UserError, commands,
     diagnose::Quantity,
-    files,
+    files, origin,
     output::{self, FileSet},
     report,
 };
@@ -84,7 +84,7 @@ fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
     inputs.extend(args.machine.as_deref());
     let mut texts = vec![
         ("acceptance.json", serde_json::to_string_pretty(acceptance)? + "\n"),
-        ("report.html", acceptance.html(name)),
+        ("report.html", acceptance.html(name, &origin::of(&inputs)?, &next(args, acceptance))),
     ];
     let mut set = FileSet::new(&inputs);
     match acceptance.adjusted() {
@@ -96,6 +96,16 @@ fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
         set.text(&args.out.join(file), &text)?;
     }
     set.commit()
+}
+
+/// The lines to be typed next.
+fn next(args: &Accept, it: &Acceptance) -> Vec<String> {
+    let adjusted = args.out.join("adjusted.toml");
+    match (it.adjusted(), it.passed) {
+        (Some(_), _) => commands::to_board(&adjusted, &args.out),
+        (None, true) => vec![commands::save(&args.out)],
+        (None, false) => Vec::new(),
+    }
 }
 
 fn print(args: &Accept, it: &Acceptance) -> Result<()> {
@@ -113,5 +123,6 @@ fn print(args: &Accept, it: &Acceptance) -> Result<()> {
     for sentence in it.unmet.iter().chain(&it.advice.sentences) {
         output::print(format_args!("  {sentence}"))?;
     }
+    commands::print(&next(args, it))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }

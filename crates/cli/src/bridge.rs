@@ -2,6 +2,7 @@
 
 mod asks;
 pub mod backup;
+mod disengage;
 mod forget;
 pub mod info;
 pub mod load;
@@ -25,12 +26,18 @@ pub enum Command {
     List,
     /// Loads a calibration: says what it changes, asks, reads it back, and restarts the board with it.
     ///
+    /// With --previous it loads the calibration that the last load from this computer has replaced.
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
     /// Service there. Where no CNC is heard, this says so itself.
     /// A calibration that is loaded starts without a reference. If the board has an older one for it, it offers
     /// that one. Each question of the bridge is answered at the CNC, by Confirm.
     /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.
     Load(load::Load),
+    /// Takes the offsets back to 0 at the slew limit, where no CNC commands the bridge.
+    ///
+    /// Where a CNC does, nothing is sent: the offset is its own, and only it knows whether it cuts. Disengage there.
+    /// Exit 3: a CNC commands the bridge, or the offset does not go to 0.
+    Disengage(disengage::Disengage),
     /// Shows the calibration that waits for the next start; puts it to use or drops it.
     ///
     /// Exit 3 (--use): the board does not run on it, or belongs to another machine.
@@ -75,6 +82,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
             Ok(Outcome::Done)
         }
         Command::Load(args) => load::run(args, as_json),
+        Command::Disengage(args) => disengage::run(args, as_json),
         Command::Pending(args) => pending::run(args, as_json),
         Command::ForgetReference(args) => forget::run(args, as_json),
         Command::Save(args) => backup::save(args, as_json),

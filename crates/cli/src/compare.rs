@@ -14,7 +14,7 @@ use trueup_machine::file;
 use crate::{
     Outcome, UserError,
     diagnose::{Quantity, above_zero},
-    files,
+    files, origin,
     output::{self, FileSet},
 };
 
@@ -70,8 +70,8 @@ pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
         fs::create_dir_all(folder)
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
         let names = [&args.a, &args.b].map(|path| path.display().to_string());
-        let html = page::of_comparison(&it, [&names[0], &names[1]]);
         let inputs = [args.a.as_path(), args.b.as_path()];
+        let html = page::of_comparison(&it, [&names[0], &names[1]], &origin::of(&inputs)?);
         let mut set = FileSet::new(&inputs);
         for (name, text) in [("comparison.json", format!("{json}\n")), ("report.html", html)] {
             set.text(&folder.join(name), &text)?;

@@ -12,7 +12,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use trueup_diagnose::{Diagnosis, MISSING_INPUTS, Options, Verdict, diagnose_for};
+use trueup_diagnose::{Diagnosis, Gauge, MISSING_INPUTS, Options, Verdict, diagnose_for};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     compile::{check_slopes, compile},
@@ -22,7 +22,7 @@ use trueup_output::escape::one_line;
 use trueup_page::{micrometres, significant};
 
 use crate::{
-    Outcome, UserError, files, origin,
+    Outcome, UserError, commands, files, origin,
     output::{self, FileSet},
     report,
 };
@@ -61,11 +61,32 @@ pub struct Diagnose {
     /// the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::For>,
+    /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
+    #[arg(long, value_enum, default_value_t = By::Hand, requires = "next")]
+    gauge: By,
     #[command(flatten)]
     motion: crate::program::Motion,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+}
+
+/// Who reads the gauge.
+#[derive(Clone, Copy, ValueEnum)]
+pub enum By {
+    /// A person, who writes it down.
+    Hand,
+    /// A program records it.
+    Auto,
+}
+
+impl By {
+    fn gauge(self) -> Gauge {
+        match self {
+            Self::Hand => Gauge::Hand,
+            Self::Auto => Gauge::Auto,
+        }
+    }
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -124,7 +145,8 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     write(args, &diagnosis, &machine.name, &source)?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        next::write(&diagnosis, &machine, control, &args.motion, &args.out, as_json)?;
+        let motion = (&args.motion, args.gauge.gauge());
+        next::write(&diagnosis, &machine, control, motion, &args.out, as_json)?;
     }
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }
@@ -157,7 +179,7 @@ fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Re
     }
     let texts = [
         ("diagnosis.json", diagnosis.json()? + "\n"),
-        ("report.html", diagnosis.html(name, &origin::of(&inputs)?)),
+        ("report.html", diagnosis.html(name, &origin::of(&inputs)?, &to_do_next(args, diagnosis))),
         ("extended.toml", extended),
     ];
     let mut set = FileSet::new(&inputs);
@@ -184,6 +206,19 @@ fn print_in_red(text: &str) -> Result<()> {
     let mut out = trueup_output::Output;
     let written = writeln!(out, "\u{1b}[31m{}\u{1b}[0m", one_line(text)).and_then(|()| out.flush());
     written.context("standard output cannot be written")
+}
+
+/// Of the names in the table of before and after.
+const OF: usize = 42;
+
+/// The lines to be typed next; none where what was found must not go to a board.
+fn to_do_next(args: &Diagnose, diagnosis: &Diagnosis) -> Vec<String> {
+    let verdict = diagnosis.report.verdict;
+    let is_safe = matches!(verdict, Verdict::Explained | Verdict::PartlyExplained);
+    match is_safe && diagnosis.corrects() {
+        true => commands::to_board(&args.out.join("extended.toml"), &args.out),
+        false => Vec::new(),
+    }
 }
 
 fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
@@ -213,25 +248,37 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
         }
         output::print(format_args!("    next: {}", finding.next_test))?;
     }
+    let not_fitted = match report.holdout_used {
+        true => "on the hold-out, which has chosen",
+        false => "on rows not used for the fit",
+    };
+    let left = |rms_um: f64, holdout_rms_um: f64| {
+        format!("{} RMS ({} {not_fitted})", micrometres(rms_um), micrometres(holdout_rms_um))
+    };
+    let (before, explained) = (&report.before, &report.after);
+    let explained = match report.findings.is_empty() {
+        true => String::new(),
+        false => format!(
+            "; with every cause taken off {}",
+            left(explained.rms_um, explained.holdout_rms_um)
+        ),
+    };
     output::print(format_args!(
-        "{}, {} rows: {} RMS before, {} after; {}: {} before, {} after; noise {}",
+        "{}, {} rows: as the file is {}{explained}; noise {}",
         report.quantity,
         report.rows_used,
-        micrometres(report.before.rms_um),
-        micrometres(report.after.rms_um),
-        if report.holdout_used { "on the hold-out, which has chosen" } else { "not fitted to" },
-        micrometres(report.before.holdout_rms_um),
-        micrometres(report.after.holdout_rms_um),
+        left(before.rms_um, before.holdout_rms_um),
         micrometres(report.noise_um)
     ))?;
     if diagnosis.corrects() {
-        let at_tool = &report.at_tool;
+        output::print("corrected by the board, RMS before and after:")?;
+        for (of, before_um, after_um) in diagnosis.before_and_after() {
+            let [before, after] = [before_um, after_um].map(micrometres);
+            output::print(format_args!("  {of:OF$} {before:>9} {after:>9}"))?;
+        }
         output::print(format_args!(
-            "corrected by the board: {} RMS before, {} after, at most {}; not fitted to: {}",
-            micrometres(report.before.rms_um),
-            micrometres(report.after.compensated_rms_um),
-            micrometres(report.after.compensated_max_um),
-            micrometres(report.after.compensated_holdout_rms_um)
+            "  the largest of these rows, after: {}",
+            micrometres(report.after.compensated_max_um)
         ))?;
         if let Some(held_out) = &report.held_out {
             output::print(format_args!(
@@ -239,12 +286,8 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
                 held_out.sentence()
             ))?;
         }
-        output::print(format_args!(
-            "promised at the tool, on days like these: {} RMS before, {} after",
-            micrometres(at_tool.before_um),
-            micrometres(at_tool.after_um)
-        ))?;
     }
+    commands::print(&to_do_next(args, diagnosis))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }
 

@@ -104,7 +104,7 @@ pub fn usable(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInp
 
 fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
     match machine {
-        Some(machine) => run.with_tool_numbers(machine),
+        Some(machine) => run.with_names_of(machine).with_tool_numbers(machine),
         None => Ok(run),
     }
 }

@@ -21,6 +21,7 @@ use trueup_client::{
 use trueup_gateway::{
     bridge::{self, Shared},
     health::{self, End, PlcEnd},
+    journal::Journal,
     modbus, rtu,
     s7::{self, Target, client::Place},
 };
@@ -122,6 +123,10 @@ pub struct Bridge {
     /// Try once whether both ends are there, say how they are, and end.
     #[arg(long)]
     once: bool,
+    /// Writes a line each second, for a person who watches. Without this: one each five minutes and at each change, at
+    /// most 1 MB a day; what changes too often is counted in the next line.
+    #[arg(long, conflicts_with = "once")]
+    watch: bool,
 }
 
 /// Serves a PLC.
@@ -222,7 +227,7 @@ fn run_modbus(
         output::print(health::line(shared, &end()))?;
         return Ok(if hears { Outcome::Done } else { Outcome::NotMet });
     }
-    tell(shared, &line, end, end)
+    tell(shared, bridge, &line, end, end)
 }
 
 fn run_rtu(shared: &Shared, bridge: &Bridge, line: rtu::Line, unit: u8) -> Result<Outcome> {
@@ -237,7 +242,7 @@ fn run_rtu(shared: &Shared, bridge: &Bridge, line: rtu::Line, unit: u8) -> Resul
     let end = End::default();
     let (ours, theirs) = (shared.clone(), end.clone());
     let plc = thread::spawn(move || rtu::serve(&ours, || line.open(), unit, &theirs));
-    let outcome = tell(shared, &thread, || end.look(), || end.take())?;
+    let outcome = tell(shared, bridge, &thread, || end.look(), || end.take())?;
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
 }
@@ -254,7 +259,7 @@ fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> 
     let end = End::default();
     let (ours, theirs, target) = (shared.clone(), end.clone(), target.clone());
     let plc = thread::spawn(move || s7::serve(&ours, &target, &theirs));
-    let outcome = tell(shared, &line, || end.look(), || end.take())?;
+    let outcome = tell(shared, bridge, &line, || end.look(), || end.take())?;
     // It ends with its present write, which cannot last.
     plc.join().ok().context("the thread of the PLC")?;
     Ok(outcome)
@@ -272,23 +277,23 @@ fn wait_for_bridge(shared: &Shared) -> bool {
     false
 }
 
-/// Prints a line a second, and one whenever something has changed, until the end.
+/// Prints how both ends are, until the end; when, the journal decides.
 fn tell(
     shared: &Shared,
+    bridge: &Bridge,
     line: &thread::JoinHandle<()>,
     look: impl Fn() -> PlcEnd,
     take: impl Fn() -> PlcEnd,
 ) -> Result<Outcome> {
-    let (mut news, mut due) = (None, Instant::now());
+    let mut journal = Journal::new(bridge.watch);
     while !shared.has_ended() && !line.is_finished() {
         // Not with the hub held: whoever reads it may be slow.
-        let told = shared.hub().news();
-        told.iter().for_each(trueup_output::diagnostic);
-        let now = health::line(shared, &look());
-        let changed = news.replace(health::news(&now)) != Some(health::news(&now));
-        if changed || Instant::now() >= due {
-            output::print(health::line(shared, &take()))?;
-            due = Instant::now() + health::PERIOD;
+        let messages = shared.hub().news();
+        let allowed = messages.iter().filter(|it| journal.is_allowed(shared.now(), it));
+        allowed.for_each(trueup_output::diagnostic);
+        let now = shared.now();
+        if journal.is_due(now, &health::line(shared, &look())) {
+            output::print(journal.entry(now, health::line(shared, &take())))?;
         }
         thread::sleep(LOOK);
     }

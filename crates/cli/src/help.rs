@@ -71,6 +71,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("man", "trueup man pages"),
     ("gateway modbus", "trueup gateway modbus --port /dev/ttyUSB0 --listen 0.0.0.0:502"),
     ("gateway s7", "trueup gateway s7 --port /dev/ttyUSB0 --plc 192.168.0.1 --db 100"),
+    ("bridge disengage", "trueup bridge disengage --port /dev/ttyUSB0"),
     ("bridge forget-reference", "trueup bridge forget-reference --port /dev/ttyUSB0"),
     ("bridge list", "trueup bridge list"),
     ("bridge info", "trueup bridge info --port /dev/ttyUSB0"),

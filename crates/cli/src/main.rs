@@ -15,6 +15,7 @@ mod accept;
 mod bridge;
 mod carried;
 mod check;
+mod commands;
 mod commission;
 mod compare;
 mod compile;
@@ -36,6 +37,8 @@ mod new;
 mod origin;
 mod output;
 mod predict;
+#[cfg(test)]
+mod printed;
 mod program;
 mod questions;
 mod report;

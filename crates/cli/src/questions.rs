@@ -1,7 +1,7 @@
 //! The questions of `trueup new`, for what its flags have not said. `<` goes back to the question before.
 
 use anyhow::{Error, Result};
-use dialoguer::{Confirm, Input, Select};
+use dialoguer::{Input, Select};
 use trueup_machine::{
     file::{Feedback, Kind, LinearAxis, RotaryAxis},
     inputs::LAST_CHANNEL,
@@ -219,13 +219,23 @@ fn one(question: Question, template: &mut Template) -> Result<bool> {
             template.rapid_mm_per_min = rapid;
         }
         Question::Sensor => {
-            let prompt = "Is there a displacement sensor at the spindle?";
-            // The Enter behind y belongs to this question, not to the next one.
-            let confirm = Confirm::new().with_prompt(prompt).default(true).wait_for_newline(true);
+            let yes_or_no = |text: &str| match text.to_lowercase().as_str() {
+                "y" | "yes" => Ok(true),
+                "n" | "no" => Ok(false),
+                _ => Err("must be y or n".into()),
+            };
             template.sensor = None;
-            if confirm.interact()? {
-                let Answer::Given(sheet) = sensor()? else { return Ok(false) };
-                template.sensor = Some(sheet);
+            loop {
+                let prompt = "Is there a displacement sensor at the spindle? y or n";
+                match needed(prompt, &"y", yes_or_no)? {
+                    Answer::Back => return Ok(false),
+                    Answer::Given(false) => break,
+                    Answer::Given(true) => {}
+                }
+                if let Answer::Given(sheet) = sensor()? {
+                    template.sensor = Some(sheet);
+                    break;
+                }
             }
         }
         Question::Thermometers => return thermometers(template),
@@ -263,27 +273,39 @@ fn thermometers(template: &mut Template) -> Result<bool> {
     Ok(true)
 }
 
+/// Asks for the three numbers of a sensor; `<` goes back to the one before, from the first to the question whether there
+/// is one.
 fn sensor() -> Result<Answer<Sheet>> {
-    let Answer::Given(volts_full_scale) =
-        needed("Its output at the end of its range, in V", &"10", above_zero)?
-    else {
-        return Ok(Answer::Back);
-    };
-    let Answer::Given(um_per_v) =
-        needed("µm for one volt (data sheet: range in µm / volts)", &"50", not_zero)?
-    else {
-        return Ok(Answer::Back);
-    };
-    let within = |text: &str| match finite(text)? {
-        volts if (0.0..=volts_full_scale).contains(&volts) => Ok(volts),
-        _ => Err(format!("must be from 0 to {volts_full_scale} V")),
-    };
-    let half = volts_full_scale / 2.0;
-    let zero = needed("What a voltmeter shows when the machine is cold, in V", &half, within)?;
-    Ok(match zero {
-        Answer::Given(zero_v) => Answer::Given(Sheet { volts_full_scale, um_per_v, zero_v }),
-        Answer::Back => Answer::Back,
-    })
+    let mut sheet = Sheet { volts_full_scale: 10.0, um_per_v: 50.0, zero_v: 5.0 };
+    let mut step = 0_u8;
+    loop {
+        let given = match step {
+            0 => {
+                let prompt = "Its output at the end of its range, in V";
+                needed(prompt, &sheet.volts_full_scale, above_zero)?
+            }
+            1 => {
+                let prompt = "µm for one volt (data sheet: range in µm / volts)";
+                needed(prompt, &sheet.um_per_v, not_zero)?
+            }
+            _ => {
+                let volts_full_scale = sheet.volts_full_scale;
+                let within = |text: &str| match finite(text)? {
+                    volts if (0.0..=volts_full_scale).contains(&volts) => Ok(volts),
+                    _ => Err(format!("must be from 0 to {volts_full_scale} V")),
+                };
+                let prompt = "What a voltmeter shows when the machine is cold, in V";
+                needed(prompt, &(volts_full_scale / 2.0), within)?
+            }
+        };
+        match (given, step) {
+            (Answer::Back, 0) => return Ok(Answer::Back),
+            (Answer::Back, _) => step -= 1,
+            (Answer::Given(volts), 0) => (sheet.volts_full_scale, step) = (volts, 1),
+            (Answer::Given(um), 1) => (sheet.um_per_v, step) = (um, 2),
+            (Answer::Given(zero_v), _) => return Ok(Answer::Given(Sheet { zero_v, ..sheet })),
+        }
+    }
 }
 
 /// An answer that is read by `read`; nothing is `usual`.

@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     time::{SystemTime, UNIX_EPOCH},
 };
 
@@ -13,7 +13,7 @@ use trueup_compare::{dated, page, thermal::at_reference, trend::trends};
 use crate::{
     Outcome, UserError,
     diagnose::above_zero,
-    files,
+    files, origin,
     output::{self, FileSet},
     report,
 };
@@ -63,6 +63,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
     let today = args.today.or_else(today);
     let mut notes: Vec<String> = Vec::new();
     let mut days = Vec::new();
+    let mut read = Vec::new();
     for path in paths {
         let kind = path.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_string();
         let name =
@@ -89,7 +90,11 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
                 if !notes.contains(&note) {
                     notes.push(note);
                 }
-                dated::of_run(&run)
+                let of_run = dated::of_run(&run);
+                notes.extend(of_run.outliers.iter().map(|(place, um)| {
+                    format!("{}:{}: {um:+.1} µm, excluded as an outlier", name, place.line)
+                }));
+                of_run.constants
             }
         };
         if constants.is_empty() {
@@ -97,6 +102,7 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
             continue;
         }
         days.push((day, constants));
+        read.push(path);
     }
     if days.is_empty() {
         return Err(bad("has no dated .csv or .toml with a constant in it".into()).into());
@@ -106,7 +112,10 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
     if let Some(folder) = &args.out {
         fs::create_dir_all(folder)
             .map_err(|error| UserError(format!("{}: cannot be made: {error}", folder.display())))?;
-        let html = page::of_trends(&found, &args.folder.display().to_string());
+        let mut inputs: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
+        inputs.extend(args.machine.as_deref());
+        let origin = origin::of(&inputs)?;
+        let html = page::of_trends(&found, &args.folder.display().to_string(), &origin);
         let mut set = FileSet::new(&[]);
         for (name, text) in [("trend.json", format!("{json}\n")), ("report.html", html)] {
             set.text(&folder.join(name), &text)?;

@@ -9,12 +9,15 @@
 //! |---|---|
 //! | [`port`] | TCP, a serial device or a CAN interface, opened to lines of SLCAN both ways |
 //! | [`found`] | the ports of this computer |
+//! | [`mod@holder`] | which other program holds the line |
 //! | [`ends`] | both directions of an open line |
 //! | [`line`](mod@line) | a line that is opened again whenever it breaks, for who stays on it |
 //! | [`session`] | one client's time on the line: open, hear, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
+//! | [`previous`] | the calibration that a load has replaced |
+//! | [`disengage`] | the offsets of a bridge that no CNC commands, taken back |
 //! | [`mod@reference`] | what the errors count from: value, age, by whom, in force or offered |
 //! | [`questions`] | what a bridge asks its operator |
 //! | [`saved`] | all that a board holds, in one file |
@@ -35,8 +38,10 @@
 pub mod build;
 pub mod cnc;
 mod dating;
+pub mod disengage;
 pub mod ends;
 pub mod found;
+pub mod holder;
 pub mod line;
 pub mod load;
 pub mod object;
@@ -44,6 +49,7 @@ mod patience;
 pub mod pinned;
 pub mod poll;
 pub mod port;
+pub mod previous;
 pub mod questions;
 pub mod record;
 pub mod reference;

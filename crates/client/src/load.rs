@@ -24,7 +24,7 @@ const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the bridge may take to believe a service switch that is closed, after its start.
 const SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
 /// How much longer than the link timeout `Service` of somebody who has left may stand.
-const REMNANT_MARGIN: Duration = Duration::from_millis(500);
+pub(crate) const REMNANT_MARGIN: Duration = Duration::from_millis(500);
 /// How long the bridge may take to drop a calibration that it has stored.
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
@@ -248,7 +248,7 @@ fn ask_leave(session: &mut Session) -> Result<()> {
 }
 
 /// The link timeout of the running calibration.
-fn link_timeout(session: &mut Session) -> Result<Duration> {
+pub(crate) fn link_timeout(session: &mut Session) -> Result<Duration> {
     let blob = running(session, |_, _| ())?.unwrap_or_default();
     // Without one that can be read: the largest.
     let ms = decode(&blob).map_or(MAX_LINK_TIMEOUT_MS, |it| it.limits.link_timeout_ms);

@@ -28,6 +28,8 @@ pub const HARDWARE: At = (0x1009, 0);
 pub const SOFTWARE: At = (0x100A, 0);
 /// A hash of the number that its chip has from its factory.
 pub const SERIAL_NUMBER: At = (0x1018, 4);
+/// The offsets of X, Y and Z in nm; [`NOT_AVAILABLE`] where none is.
+pub const OFFSET: [At; 3] = [(0x2000, 1), (0x2000, 2), (0x2000, 3)];
 /// The quality, as in `OffsetZ`.
 pub const QUALITY: At = (0x2001, 1);
 /// The faults 0 to 31, a bit each, and those from 32 on.
@@ -68,6 +70,8 @@ pub const REFERENCE_ORIGIN: At = (0x2010, 12);
 pub const REFERENCE_AGE: At = (0x2010, 13);
 /// What was learned, as it is applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
+/// The tool, the conditions, and whose they are: 0 nobody has said or no term needs them, 1 the CNC's, 2 lost.
+pub const CONDITIONS: [At; 3] = [(0x2012, 1), (0x2012, 2), (0x2012, 3)];
 /// The elongation in thousandths of a µm, as of this moment.
 pub const ELONGATION: At = (0x9130, trueup_canopen::dictionary::ELONGATION_INPUT);
 /// The calibration that the bridge runs on.

@@ -121,15 +121,20 @@ impl Pinned {
 /// folder that systemd, the desktop or the user's home has for states, else in the present one.
 #[must_use]
 pub fn default_state(port: &str, variable: impl Fn(&str) -> Option<OsString>) -> PathBuf {
+    let folder = state_folder(variable).unwrap_or_default();
+    let plain = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
+    folder.join(format!("gateway-{}.calibration", port.chars().map(plain).collect::<String>()))
+}
+
+/// Returns the folder that systemd, the desktop or the user's home has for states; `None`: none of them has one.
+pub(crate) fn state_folder(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let of = |name: &str, below: &str| {
         variable(name).filter(|it| !it.is_empty()).map(|it| PathBuf::from(it).join(below))
     };
-    let folder = of("STATE_DIRECTORY", "")
+    of("STATE_DIRECTORY", "")
         .or_else(|| of("XDG_STATE_HOME", "trueup"))
         .or_else(|| of("HOME", ".local/state/trueup"))
-        .unwrap_or_default();
-    let plain = |letter: char| if letter.is_ascii_alphanumeric() { letter } else { '-' };
-    folder.join(format!("gateway-{}.calibration", port.chars().map(plain).collect::<String>()))
+        .or_else(|| of("LOCALAPPDATA", "trueup"))
 }
 
 /// Returns the CRC in a state file; `None` where there is no file.

@@ -17,14 +17,15 @@
 //! what is left while the CNC follows the offsets; they are taken out of it again. It is there where a
 //! gauge is read, with a value in each row in which a reading was marked.
 
+mod out;
+
 use std::{
-    fs::{self, File, OpenOptions},
-    io::{BufWriter, Write as _},
-    path::{Path, PathBuf},
+    fs,
+    path::Path,
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use anyhow::{Context as _, Result};
+use anyhow::Result;
 use trueup_core::{cnc::Output, dimensions::CHANNELS};
 use trueup_link::{
     frame::Frame,
@@ -37,6 +38,7 @@ use trueup_machine::{
     model::sensor_counts,
 };
 
+use self::out::Out;
 use crate::{
     Unusable,
     cnc::{self, Cnc},
@@ -63,15 +65,11 @@ pub struct Recorder {
     /// What the gauge has said since the last row, in µm; the quantity that it measures.
     marked_um: Option<f64>,
     gauge: Option<Quantity>,
+    /// The readings that stand in rows: where their cells begin in the file, how long they are, and what they say.
+    marks: Vec<(u64, usize, f64)>,
     next_row_ms: u64,
     frames: u64,
     rows: u64,
-}
-
-/// A file that is being written.
-struct Out {
-    path: PathBuf,
-    file: BufWriter<File>,
 }
 
 /// The columns that depend on the machine.
@@ -87,7 +85,7 @@ struct Columns {
 }
 
 impl Recorder {
-    /// Begins both files, which must not be there yet: `<path>.log` and `.csv`, or `bridge.log` and
+    /// Begins both files, which must not be there yet: `<path>.log` and `.csv` where `path` ends so, or `bridge.log` and
     /// `bridge.csv` in the folder `path`. In the log the frames come from this interface. A `gauge` that
     /// measures a quantity has its column.
     ///
@@ -104,8 +102,9 @@ impl Recorder {
             Some(machine) => Columns::of(&MachineFile::read(machine)?),
             None => Columns::unnamed(),
         };
-        let log = if path.extension().is_some_and(|it| it == "log") {
-            path.to_path_buf()
+        let is_file = path.extension().is_some_and(|it| it == "log" || it == "csv");
+        let log = if is_file {
+            path.with_extension("log")
         } else {
             fs::create_dir_all(path)
                 .map_err(|error| Unusable::Folder { path: path.into(), error })?;
@@ -127,6 +126,7 @@ impl Recorder {
             calibration: None,
             marked_um: None,
             gauge,
+            marks: Vec::new(),
             next_row_ms: 0,
             frames: 0,
             rows: 0,
@@ -142,6 +142,32 @@ impl Recorder {
     /// A reading of the gauge in µm; it stands in the next row. Without a gauge it is dropped.
     pub fn mark(&mut self, um: f64) {
         self.marked_um = self.gauge.map(|_| um);
+    }
+
+    /// Takes the last reading of the gauge out of the run file again: its cell is left blank. Returns what it was in
+    /// µm; `None`: there is none.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn unmark(&mut self) -> Result<Option<f64>> {
+        if let Some(um) = self.marked_um.take() {
+            return Ok(Some(um));
+        }
+        let Some((at, length, um)) = self.marks.pop() else { return Ok(None) };
+        self.run.blank(at, length)?;
+        Ok(Some(um))
+    }
+
+    /// Returns how many readings of the gauge stand in the recording.
+    #[must_use]
+    pub fn readings(&self) -> usize {
+        self.marks.len() + usize::from(self.marked_um.is_some())
+    }
+
+    /// Returns how many rows the run file has.
+    #[must_use]
+    pub fn rows(&self) -> u64 {
+        self.rows
     }
 
     /// Takes a frame that was heard at this moment.
@@ -164,7 +190,12 @@ impl Recorder {
             self.rows += 1;
             let mut row = self.row(&output);
             if self.gauge.is_some() {
-                row = row + "," + &decimals(self.marked_um.take(), 3);
+                row.push(',');
+                if let Some(um) = self.marked_um.take() {
+                    let cell = decimals(Some(um), 3);
+                    self.marks.push((self.run.length() + row.len() as u64, cell.len(), um));
+                    row += &cell;
+                }
             }
             self.run.line(&row)?;
         }
@@ -310,26 +341,6 @@ fn decimals(value: Option<f64>, decimals: usize) -> String {
     value.map_or_else(String::new, |value| format!("{value:.decimals$}"))
 }
 
-impl Out {
-    fn create(path: PathBuf) -> Result<Self> {
-        let file = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .open(&path)
-            .map_err(|error| Unusable::File { path: path.clone(), error })?;
-        Ok(Self { path, file: BufWriter::new(file) })
-    }
-
-    fn line(&mut self, line: &str) -> Result<()> {
-        writeln!(self.file, "{line}")
-            .with_context(|| format!("while writing {}", self.path.display()))
-    }
-
-    fn flush(&mut self) -> Result<()> {
-        self.file.flush().with_context(|| format!("while writing {}", self.path.display()))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -400,6 +411,38 @@ mod tests {
     }
 
     #[test]
+    fn the_last_readings_are_undone_one_after_the_other() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.csv");
+        let mut recorder =
+            Recorder::begin(&path, None, "can0", Some(Quantity::Dz)).expect("a new file");
+        let mut node = Node::new(None, false);
+        for ms in 0..2_000_u32 {
+            // A reading each half second; the last but one was a slip, and so was the one that waits.
+            if ms % 500 == 250 {
+                recorder.mark(f64::from(ms) / 100.0);
+            }
+            if ms == 1_400 {
+                assert_eq!(recorder.readings(), 3);
+                assert_eq!(recorder.unmark().expect("the disk is not full"), Some(12.5));
+            }
+            for frame in node.tick(1, Input::default()) {
+                let at = UNIX_EPOCH + Duration::from_millis(ms.into());
+                recorder.hear(&frame, at).expect("the disk is not full");
+            }
+        }
+        recorder.mark(99.0);
+        assert_eq!(recorder.unmark().expect("the disk is not full"), Some(99.0));
+        recorder.flush().expect("the disk is not full");
+        assert_eq!(recorder.readings(), 3);
+        let run = RunFile::read(&path).expect("a run file, with its log beside it");
+        let read = run.column("measured_dz_um").expect("the gauge's column").iter();
+        let read: Vec<f64> = read.copied().filter(|um| !um.is_nan()).collect();
+        assert_eq!((read, run.rows() as u64), (vec![2.5, 7.5, 17.5], recorder.rows()));
+        assert!(path.with_extension("log").exists());
+    }
+
+    #[test]
     fn without_a_law_on_the_board_the_elongation_itself_is_written_down() {
         let column = |text: &str| {
             let machine = MachineFile::parse(text, Path::new("m.toml")).expect("right");
@@ -419,7 +462,7 @@ mod tests {
         begin("here").expect("a new folder");
         for (name, phrase) in [
             ("here", "bridge.log: the recording cannot be created: "),
-            ("here/bridge.csv", "bridge.csv: cannot be made: "),
+            ("here/bridge.csv", "bridge.log: the recording cannot be created: "),
             ("none/run.log", "run.log: the recording cannot be created: "),
         ] {
             let error = begin(name).err().expect("it is in the way");

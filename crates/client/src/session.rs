@@ -15,6 +15,7 @@ use trueup_link::{
 
 use crate::{
     ends::{Ends, is_busy, is_timeout},
+    holder::holder,
     port::Port,
 };
 
@@ -29,8 +30,13 @@ const RESTART_TIMEOUT: Duration = Duration::from_secs(10);
 const RETRY_TIMEOUT: Duration = Duration::from_millis(500);
 /// From one `Control` with `Service` to the next: a fifth of the link timeout that is usual.
 const SERVICE_PERIOD: Duration = Duration::from_millis(100);
-/// The lines in [`client::OPEN`], each of which is answered.
-const OPEN_LINES: usize = 4;
+/// The lines in [`client::OPEN`], each of which a bridge answers.
+const OPEN_LINES: usize = 5;
+/// An adapter that answers in a way of its own has opened its channel if frames still come so long after it was asked:
+/// what an earlier client was being sent has come by then.
+const DRAINED: Duration = Duration::from_secs(1);
+/// Between lines that are sent one by one, to an adapter that reads only the first line of a packet.
+const LINE_PAUSE: Duration = Duration::from_millis(30);
 
 /// An open channel.
 pub struct Session {
@@ -38,8 +44,8 @@ pub struct Session {
     has_adapter: bool,
     client: Client,
     heard: VecDeque<Event>,
-    /// The `Control` with which a tool allows itself to write: its counter, and when it is due.
-    service: Option<(u8, Instant)>,
+    /// What a tool says where no CNC does: `Control`, its counter, and when it is due.
+    service: Option<(Control, u8, Instant)>,
 }
 
 impl Session {
@@ -53,8 +59,9 @@ impl Session {
                 "no connection to tcp:{address}; is a bridge listening there (trueup virtual)?"
             )),
             Port::Serial(device) if is_busy(&error) => Error::from(error).context(format!(
-                "the serial device {device} is busy: another program talks to the bridge (a monitor, \
-                 LinuxCNC, slcand); end it first"
+                "the serial device {device} is busy: {} talks to the bridge; end it first",
+                holder(port)
+                    .unwrap_or_else(|| "another program (a monitor, LinuxCNC, slcand)".into())
             )),
             Port::Serial(device) => {
                 Error::from(error).context(format!("the serial device {device} cannot be opened"))
@@ -64,7 +71,12 @@ impl Session {
             Port::Can(_) => error.into(),
         })?;
         let mut session = Self::over(ends, port.has_adapter());
-        session.open_channel(OPEN_TIMEOUT)?;
+        session.open_channel(OPEN_TIMEOUT).map_err(|error| match holder(port) {
+            Some(other) => error.context(format!(
+                "the bridge serves one program at a time, and {other} has it: end it first"
+            )),
+            None => error,
+        })?;
         Ok(session)
     }
 
@@ -100,23 +112,41 @@ impl Session {
     /// Opens the channel, whatever an earlier client has left behind.
     ///
     /// All lines are written at once, as `slcand` and python-can do: a virtual bridge may answer
-    /// none of them before it has seen the last.
+    /// none of them before it has seen the last. A bridge answers each. Adapters of others may refuse some, or
+    /// answer none: then the channel is open if frames come.
     fn open_channel(&mut self, timeout: Duration) -> Result<()> {
         if !self.has_adapter {
             return Ok(());
         }
         self.write(client::OPEN)?;
-        let deadline = Instant::now() + timeout;
+        let start = Instant::now();
         let mut answers = 0;
-        while answers < OPEN_LINES {
-            match self.next_event(deadline)? {
-                Some(Event::Accepted) => answers += 1,
-                // The first line ends what was left over, and is refused with it; the end of a
-                // frame may have passed for an answer before.
-                Some(Event::Refused) if answers <= 1 => answers += 1,
-                Some(Event::Refused) => bail!("the bridge refuses to open its channel"),
+        let mut is_refused = false;
+        let mut is_one_by_one = false;
+        loop {
+            if answers >= OPEN_LINES && !is_refused {
+                return Ok(());
+            }
+            let look = if is_one_by_one {
+                start + timeout
+            } else {
+                start + (DRAINED + RETRY_TIMEOUT).min(timeout)
+            };
+            match self.next_event(look)? {
+                Some(Event::Accepted) => (answers, is_refused) = (answers + 1, false),
+                Some(Event::Refused) => (answers, is_refused) = (answers + 1, true),
+                Some(Event::Frame(_)) if start.elapsed() >= DRAINED => return Ok(()),
                 // What an earlier client was still being sent.
                 Some(Event::Frame(_) | Event::Malformed(_) | Event::Other(_)) => {}
+                None if !is_one_by_one && timeout > DRAINED => {
+                    is_one_by_one = true;
+                    if answers < OPEN_LINES {
+                        self.write_one_by_one()?;
+                    }
+                }
+                None if is_refused && answers >= OPEN_LINES => {
+                    bail!("the bridge refuses to open its channel, and sends no frame")
+                }
                 None => bail!(
                     "the bridge has answered {answers} of {OPEN_LINES} lines in {} s; is it a \
                      bridge, is it powered, and does no other program talk to it? It serves one at a \
@@ -125,13 +155,26 @@ impl Session {
                 ),
             }
         }
+    }
+
+    /// Opens the channel by one line after the other.
+    fn write_one_by_one(&mut self) -> Result<()> {
+        for line in client::OPEN.split_inclusive(|byte| *byte == b'\r').skip(1) {
+            std::thread::sleep(LINE_PAUSE);
+            self.write(line)?;
+        }
         Ok(())
     }
 
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
     /// that hears no CNC.
     pub fn allow_service(&mut self) {
-        self.service = Some((0, Instant::now()));
+        self.say(Control { service: true, ..Control::default() });
+    }
+
+    /// Sends this `Control` from now on, in the same way.
+    pub(crate) fn say(&mut self, control: Control) {
+        self.service = Some((control, 0, Instant::now()));
     }
 
     /// Whether it does.
@@ -148,11 +191,10 @@ impl Session {
     /// Sends `Control`, if it is due.
     fn send_control(&mut self) -> Result<()> {
         let now = Instant::now();
-        let Some((counter, due)) = self.service.filter(|(_, due)| now >= *due) else {
+        let Some((control, counter, due)) = self.service.filter(|(.., due)| now >= *due) else {
             return Ok(());
         };
-        let control = Control { service: true, ..Control::default() };
-        self.service = Some((counter.wrapping_add(1), due.max(now) + SERVICE_PERIOD));
+        self.service = Some((control, counter.wrapping_add(1), due.max(now) + SERVICE_PERIOD));
         self.send(&frames::control(control, counter))
     }
 
@@ -246,7 +288,7 @@ mod tests {
     #[test]
     fn a_channel_opens_whatever_was_left_on_the_line() {
         for before in [&b"\r"[..], b"\x07", b"\r\x07", b"AABB\rt701105\r\r", b"t7011\x07"] {
-            let answers = [before, b"t701105\r\r\r\rt701105\rt701105\r"].concat();
+            let answers = [before, b"t701105\r\r\r\r\rt701105\rt701105\r"].concat();
             let mut session = open(&answers).expect("opens");
             let mut next = || session.next_event(Instant::now() + OPEN_TIMEOUT).expect("no fault");
             // Where the end of a frame has passed for an answer, one answer is left over.
@@ -257,10 +299,62 @@ mod tests {
 
     #[test]
     fn a_refusal_or_silence_is_told() {
-        let refused = open(b"\r\r\x07\r").err().expect("refused").to_string();
+        let refused = open(b"\r\r\r\r\x07").err().expect("refused").to_string();
         assert!(refused.contains("refuses"), "{refused}");
         let silent = open(b"\r\r").err().expect("silent").to_string();
-        assert!(silent.contains("2 of 4 lines in 3 s"), "{silent}");
+        assert!(silent.contains("2 of 5 lines in 3 s"), "{silent}");
+    }
+
+    /// An adapter that answers in its own way: `answers` at once, and frames once it is open.
+    struct Adapter {
+        script: Script,
+        lines: std::sync::mpsc::Receiver<Vec<u8>>,
+        /// Writes that it reads, of which it takes the first line alone.
+        first_lines: bool,
+        is_open: bool,
+    }
+
+    impl Read for Adapter {
+        fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+            while let Ok(written) = self.lines.try_recv() {
+                let mut lines = written.split(|byte| *byte == b'\r');
+                let takes = if self.first_lines { 1 } else { usize::MAX };
+                self.is_open |= lines.by_ref().take(takes).any(|line| line == b"O");
+            }
+            if self.is_open && self.script.0.is_empty() {
+                self.script.0.extend(b"t701105\r");
+            }
+            self.script.read(buffer)
+        }
+    }
+
+    struct Lines(std::sync::mpsc::Sender<Vec<u8>>);
+
+    impl io::Write for Lines {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.send(bytes.to_vec()).ok();
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn an_adapter_that_refuses_answers_nothing_or_reads_line_by_line_is_open_if_frames_come() {
+        for (answers, first_lines) in [
+            (&b"\x07\x07\x07\x07\x07"[..], false),
+            (b"\r\r\r\x07\x07", false),
+            (b"", false),
+            (b"\r", true),
+        ] {
+            let (sender, lines) = std::sync::mpsc::channel();
+            let script = Script(answers.iter().copied().collect());
+            let adapter = Adapter { script, lines, first_lines, is_open: false };
+            let mut session = Session::over((Box::new(adapter), Box::new(Lines(sender))), true);
+            session.open_channel(OPEN_TIMEOUT).expect("frames come");
+        }
     }
 
     #[test]

@@ -38,12 +38,13 @@ pub struct Board {
 }
 
 impl Board {
-    /// Takes a frame from the bus. A status that cannot be used is counted.
-    pub fn hear(&mut self, frame: &Frame) {
+    /// Takes a frame from the bus, and returns what it is about; `None`: it is no status, or cannot be used, which is
+    /// counted.
+    pub fn hear(&mut self, frame: &Frame) -> Option<Item> {
         if frame.id() != STATUS_ID {
-            return;
+            return None;
         }
-        let Ok(status) = self.receiver.accept(frame) else { return };
+        let status = self.receiver.accept(frame).ok()?;
         self.last_refused = status.last_refused;
         match status.item {
             Item::Temperatures { pair, centi_c } => {
@@ -69,6 +70,7 @@ impl Board {
                 }
             }
         }
+        Some(status.item)
     }
 
     /// What is wrong with the board and what a CNC must know of it, in words.

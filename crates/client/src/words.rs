@@ -8,6 +8,8 @@ use trueup_core::{
 };
 use trueup_link::{frames::State, status::StateBits};
 
+use crate::questions::open_questions;
+
 /// A quality in a word.
 #[must_use]
 pub fn quality_word(quality: Quality) -> &'static str {
@@ -20,6 +22,26 @@ pub fn quality_word(quality: Quality) -> &'static str {
         Quality::RampingOut => "ramping-out",
         Quality::Fault => "fault",
     }
+}
+
+/// Returns for whom a bridge waits that gives no offset and has no fault: "engage", the engage sequence of the CNC, or
+/// "confirm", the operator's answer to a question. `None`: it waits for nobody. `calibration` is the CRC of the one that
+/// it runs on, 0 for none.
+#[must_use]
+pub fn waits_for(
+    quality: Quality,
+    state: StateBits,
+    calibration: Option<u32>,
+) -> Option<&'static str> {
+    let dead = [StateBits::EXAMPLE_CONSTANTS, StateBits::SELF_TEST];
+    let is_dead = calibration == Some(0) || dead.into_iter().any(|bit| state.contains(bit));
+    if quality != Quality::Fault || is_dead {
+        return None;
+    }
+    if open_questions(state).iter().any(|(word, _)| *word != "heat-unknown") {
+        return Some("confirm");
+    }
+    state.contains(StateBits::RESTARTED).then_some("engage")
 }
 
 /// The flags that are set, in words.
@@ -118,6 +140,23 @@ mod tests {
         assert_eq!(fault_words(Faults::from_words(u32::MAX, u32::MAX)).len(), Fault::ALL.len());
         assert_eq!(flag_words(Flags::NONE), [""; 0]);
         assert_eq!(flag_words(Flags::SLEWING.with(Flags::CNC_LOST)), ["slewing", "cnc-lost"]);
+    }
+
+    #[test]
+    fn a_bridge_that_waits_is_told_from_one_with_a_fault() {
+        let of = |quality, bits, crc| waits_for(quality, StateBits(bits), crc);
+        // Restarted; with a reference that is offered; and what no engage sequence mends.
+        assert_eq!(of(Quality::Fault, 1, Some(7)), Some("engage"));
+        assert_eq!(of(Quality::Fault, 1 | 1 << 17, Some(7)), Some("confirm"));
+        for (quality, bits, crc) in [
+            (Quality::Fault, 0, Some(7)),
+            (Quality::Fault, 1, Some(0)),
+            (Quality::Fault, 1 | 1 << 3, Some(7)),
+            (Quality::Fault, 1 | 1 << 14, Some(7)),
+            (Quality::Off, 1, Some(7)),
+        ] {
+            assert_eq!(of(quality, bits, crc), None, "{bits}");
+        }
     }
 
     #[test]

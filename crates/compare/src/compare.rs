@@ -4,6 +4,8 @@
 //! d(place) = mean B − mean A,   its 95 %: t·s·√(1/n_A + 1/n_B),   s from the repeats at all places
 //! ```
 //!
+//! Readings that stand alone among the repeats of their place are excluded and listed by line, as in `fit pitch`.
+//!
 //! A place is a position with its direction of approach. The zero of an axis's gauge is arbitrary, so the
 //! mean of all differences is told apart and taken off. What is left is asked, in this order of simplicity,
 //!
@@ -16,7 +18,11 @@
 
 use serde::Serialize;
 use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
-use trueup_numerics::{least_squares::Triangle, repeats::places, t_quantile};
+use trueup_numerics::{
+    least_squares::Triangle,
+    repeats::{self, arrivals, gross, places},
+    t_quantile,
+};
 
 /// A difference of BIC from which evidence is strong.
 const STRONG_EVIDENCE: f64 = 6.0;
@@ -51,6 +57,17 @@ pub struct Change {
     pub half_width: f64,
 }
 
+/// A reading that was excluded as an outlier.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Excluded {
+    /// The run: 0 is A, 1 is B.
+    pub file: usize,
+    /// Its line in the file, from 1.
+    pub line: usize,
+    /// The reading in µm.
+    pub measured_um: f64,
+}
+
 /// What the two runs differ by.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
@@ -78,11 +95,15 @@ pub struct Comparison {
     pub cause: Option<&'static str>,
     /// What has changed by how much; empty for a curve, which is in the places.
     pub changes: Vec<Change>,
+    /// Readings that were excluded as outliers.
+    pub outliers: Vec<Excluded>,
     /// What it is, in sentences.
     pub sentences: Vec<String>,
 }
 
 struct Row {
+    /// In the file, from 0.
+    row: usize,
     at: f64,
     direction: i8,
     um: f64,
@@ -100,9 +121,17 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
     let (targets, target_of) = places(&all, 10.0 * SAME_PLACE_MM);
     // By place and direction: the readings of A and of B.
     let mut cells: Vec<[Vec<f64>; 2]> = vec![<[Vec<f64>; 2]>::default(); 3 * targets.len()];
+    let (of_a, of_b) = target_of.split_at(rows[0].len());
+    let found = [is_gross(&rows[0], of_a), is_gross(&rows[1], of_b)].concat();
+    let mut outliers = Vec::new();
     let numbered =
         rows.iter().enumerate().flat_map(|(run, rows)| rows.iter().map(move |row| (run, row)));
-    for ((run, row), target) in numbered.zip(target_of) {
+    for (((run, row), target), is_outlier) in numbered.zip(target_of).zip(found) {
+        if is_outlier {
+            let place = [a, b][run].place(row.row, &format!("measured_{}_um", quantity.name()));
+            outliers.push(Excluded { file: run, line: place.line, measured_um: row.um });
+            continue;
+        }
         let way = usize::try_from(row.direction + 1).unwrap_or(1);
         cells[3 * target + way][run].push(row.um);
     }
@@ -140,7 +169,37 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
         );
         return Err(BadInput::new(Location::start_of(b.path()), rule));
     }
-    Ok(judged(quantity, over, found, unmatched, variance, t))
+    let mut comparison = judged(quantity, over, found, unmatched, variance, t);
+    let said = |it: &Excluded| {
+        let path = [a, b][it.file].path().display();
+        format!("{path}:{} ({:+.1} µm)", it.line, it.measured_um)
+    };
+    if !outliers.is_empty() {
+        let all: Vec<String> = outliers.iter().map(said).collect();
+        comparison.sentences.push(format!(
+            "Excluded as outliers, far from the other readings at their place: {}.",
+            all.join(", ")
+        ));
+    }
+    comparison.outliers = outliers;
+    Ok(comparison)
+}
+
+/// Returns which readings of a run stand alone among the repeats of their place.
+fn is_gross(rows: &[Row], targets: &[usize]) -> Vec<bool> {
+    // Where a run does not say the direction, as if all came from one side.
+    let side = |row: &Row| usize::from(row.direction < 0);
+    let stops = rows.iter().zip(targets).map(|(row, target)| (*target, side(row)));
+    let stops: Vec<(usize, usize)> = stops.collect();
+    let cycles = arrivals(&stops);
+    let readings = rows.iter().zip(&stops).zip(cycles);
+    let readings = readings.map(|((row, (place, side)), cycle)| repeats::Reading {
+        place: *place,
+        side: *side,
+        cycle,
+        value: row.um,
+    });
+    gross(&readings.collect::<Vec<_>>())
 }
 
 fn judged(
@@ -193,6 +252,7 @@ fn judged(
         differs: best.is_some(),
         cause: best.and_then(|best| best.cause),
         changes: best.map_or_else(Vec::new, |best| best.changes.clone()),
+        outliers: Vec::new(),
         sentences,
         places,
     }
@@ -363,5 +423,5 @@ fn rows_of(run: &RunFile, quantity: Quantity, over: &str) -> Result<Vec<Row>, Ba
         Some(way) if way > 0.0 => 1,
         _ => 0,
     };
-    Ok(rows.map(|row| Row { at: at[row], direction: direction(row), um: um[row] }).collect())
+    Ok(rows.map(|row| Row { row, at: at[row], direction: direction(row), um: um[row] }).collect())
 }

@@ -3,7 +3,7 @@
 //! The day is in the name, `2026-11-22` or `20261122`. A machine file holds what it says; a run file of
 //! positions what a line through its readings says: a slope along the axis, and the backlash.
 
-use trueup_machine::{Machine, RunFile, file::LinearAxis, model::is_reverse};
+use trueup_machine::{Location, Machine, RunFile, file::LinearAxis, model::is_reverse};
 use trueup_numerics::{least_squares::Triangle, robust::in_relation, t_quantile};
 
 /// A day, counted from 1970-01-01.
@@ -117,13 +117,27 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
     found
 }
 
-/// The backlash and the slope of each axis whose position errors `run` measures.
-#[must_use]
-pub fn of_run(run: &RunFile) -> Vec<Constant> {
-    LinearAxis::ALL.into_iter().flat_map(|axis| of_axis(run, axis).unwrap_or_default()).collect()
+/// What a run file of one day says.
+#[derive(Clone, Debug, Default)]
+pub struct OfRun {
+    /// The backlash and the slope of each axis whose position errors it measures.
+    pub constants: Vec<Constant>,
+    /// Where the readings stand that were excluded as outliers, with their value in µm.
+    pub outliers: Vec<(Location, f64)>,
 }
 
-fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<Vec<Constant>> {
+/// Returns the constants of `run`, and the readings that were excluded for them.
+#[must_use]
+pub fn of_run(run: &RunFile) -> OfRun {
+    let mut all = OfRun::default();
+    for of_axis in LinearAxis::ALL.into_iter().filter_map(|axis| of_axis(run, axis)) {
+        all.constants.extend(of_axis.constants);
+        all.outliers.extend(of_axis.outliers);
+    }
+    all
+}
+
+fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<OfRun> {
     let name = axis.name();
     let um = run.column(&format!("measured_d{name}_um"))?;
     let at = run.column(&format!("{name}_mm"))?;
@@ -149,6 +163,9 @@ fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<Vec<Constant>> {
     let values: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
     let outliers: Vec<usize> =
         in_relation(&by_column, &values).iter().map(|outlier| outlier.row).collect();
+    let measured = format!("measured_d{name}_um");
+    let listed = outliers.iter().map(|n| (run.place(rows[*n], &measured), values[*n]));
+    let listed = listed.collect();
     let mut line = Triangle::new(count);
     for (n, row) in rows.into_iter().enumerate() {
         if !outliers.contains(&n) {
@@ -165,5 +182,5 @@ fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<Vec<Constant>> {
     let slope = moves.then(|| constant(format!("axis.{name}.pitch slope_um_per_m"), 1));
     let width =
         both.then(|| constant(format!("axis.{name}.backlash.width_um"), 1 + usize::from(moves)));
-    Some(slope.into_iter().chain(width).collect())
+    Some(OfRun { constants: slope.into_iter().chain(width).collect(), outliers: listed })
 }

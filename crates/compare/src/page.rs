@@ -1,6 +1,6 @@
 //! A comparison and a trend as pages with pictures.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
+use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres};
 
 use crate::{
     compare::{Comparison, Place},
@@ -9,7 +9,7 @@ use crate::{
 
 /// The page of a comparison of two runs, by their names.
 #[must_use]
-pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2]) -> String {
+pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> String {
     let mut page = Page::new(&format!("{a} and {b}"));
     let (state, heading) =
         if it.differs { ("open", "They differ") } else { ("good", "No difference") };
@@ -52,12 +52,13 @@ pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2]) -> String {
         ]);
     }
     page.table(&table);
+    page.origin(origin);
     page.html()
 }
 
 /// The page of trends.
 #[must_use]
-pub fn of_trends(trends: &[Trend], folder: &str) -> String {
+pub fn of_trends(trends: &[Trend], folder: &str, origin: &Origin) -> String {
     let mut page = Page::new(&format!("What changes in {folder}"));
     let say = |it: &Trend| format!("{}: {}", it.name, it.sentence);
     page.card("open", "Constants over time", &trends.iter().map(say).collect::<Vec<_>>());
@@ -86,5 +87,6 @@ pub fn of_trends(trends: &[Trend], folder: &str) -> String {
         }
     }
     page.table(&table);
+    page.origin(origin);
     page.html()
 }

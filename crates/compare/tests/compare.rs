@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_compare::{
     compare::{Comparison, compare},
-    dated::{Constant, day_of, of_run},
+    dated::{Constant, OfRun, day_of, of_run},
     trend::trends,
 };
 use trueup_machine::RunFile;
@@ -46,6 +46,28 @@ fn equal_runs_do_not_differ_but_for_chance() {
     assert!(told <= 10, "{told}");
     let it = between("dx", 1, |_, _| 0.0);
     assert!((it.shift_um - 3.0).abs() < 0.2 && it.places.len() == 42, "{it:?}");
+}
+
+#[test]
+fn bad_readings_are_excluded_by_their_lines_and_make_no_difference() {
+    let text = |seed, spoiled: &[(usize, f64)]| {
+        let run = run("dx", seed, |x, _| pitch(x));
+        let columns =
+            ["run", "x_mm", "dir_x", "measured_dx_um"].map(|it| run.column(it).expect("there"));
+        let mut text = "run,x_mm,dir_x,measured_dx_um\n".to_string();
+        for row in 0..run.rows() {
+            let off = spoiled.iter().find(|it| it.0 == row).map_or(0.0, |it| it.1);
+            let [number, x, dir, um] = columns.map(|all| all[row]);
+            writeln!(text, "{number},{x},{dir},{}", um + off).expect("a string takes all");
+        }
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+    };
+    let (a, b) = (text(1, &[(20, 40.0)]), text(2, &[(3, -60.0), (90, 25.0)]));
+    let it = compare(&a, &b, None).expect("they have places in common");
+    let found: Vec<(usize, usize)> = it.outliers.iter().map(|it| (it.file, it.line)).collect();
+    assert_eq!(found, [(0, 22), (1, 5), (1, 92)]);
+    assert!(!it.differs && it.repeatability_um.is_some_and(|um| um < 0.4), "{it:?}");
+    assert!(it.sentences.iter().any(|it| it.contains("r.csv:92 (+")), "{:?}", it.sentences);
 }
 
 #[test]
@@ -106,7 +128,7 @@ fn wear_is_a_line_with_an_interval_and_a_date() {
             let years = (day(date) - first) as f64 / 365.25;
             let width = 4.0 + 1.5 * years;
             let run = run("dx", years.to_bits(), |_, dir| if dir < 0.0 { width } else { 0.0 });
-            (day(date), of_run(&run))
+            (day(date), of_run(&run).constants)
         })
         .collect();
     let found = trends(&days, Some(2.0), None);
@@ -160,7 +182,8 @@ fn a_warmer_run_is_no_difference_where_the_machine_file_knows_the_expansion() {
     assert!(said.contains("taken off"), "{said}");
     let corrected = compare(&cool, &warm, None).expect("comparable");
     assert!(!corrected.differs, "{corrected:?}");
-    let slope = of_run(&warm).into_iter().find(|it| it.name.contains("slope")).expect("a slope");
+    let slope =
+        of_run(&warm).constants.into_iter().find(|it| it.name.contains("slope")).expect("a slope");
     assert!(slope.value.abs() < 1.0, "{slope:?}");
 }
 
@@ -174,6 +197,8 @@ fn one_bad_reading_moves_no_backlash_of_a_dated_run() {
         text += &format!("{x},{dir},{:.2}\n", if dir < 0.0 { 6.0 } else { 0.0 } + noise + bad);
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let width = of_run(&run).into_iter().find(|it| it.name.contains("width")).expect("a width");
+    let OfRun { constants, outliers } = of_run(&run);
+    let width = constants.iter().find(|it| it.name.contains("width")).expect("a width");
     assert!((width.value - 6.0).abs() < 0.3, "{width:?}");
+    assert!(outliers.len() == 1 && outliers[0].1 > 10.0, "{outliers:?}");
 }

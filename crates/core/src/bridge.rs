@@ -143,7 +143,7 @@ impl<'a> Bridge<'a> {
             }
             Command::Spindle(spindle) => {
                 state.spindle.hear(spindle);
-                if self.needs.category_speed && state.heat.turn(spindle.speed) {
+                if self.needs.category_speed && state.heat.turn(&self.calibration, spindle.speed) {
                     self.term_warmed(state);
                 }
             }
@@ -196,7 +196,7 @@ impl<'a> Bridge<'a> {
 
         let chosen = self.select(state, elapsed_ms);
         let place = self.knows_place(state);
-        let fresh = self.knows_conditions(state)
+        let fresh = self.knows_conditions(state, elapsed_ms)
             && chosen != SelectedSource::Missing
             && place
             && self.knows_temperatures(state);

@@ -56,6 +56,18 @@ pub struct Guards {
     pub max_rates: [u16; CHANNELS],
     /// Nothing is written to the board unless its service switch is closed.
     pub service_switch: bool,
+    /// The hum that the temperature inputs suppress.
+    pub mains: Mains,
+}
+
+/// The frequency of the mains.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mains {
+    /// 50 Hz.
+    #[default]
+    Hz50,
+    /// 60 Hz.
+    Hz60,
 }
 
 /// The machine and the board that a calibration is for, as the user names them.

@@ -224,8 +224,8 @@ impl Heat {
     }
 
     /// Takes the speed for the terms by category; returns whether it is another one.
-    pub fn turn(&mut self, speed: Rpm) -> bool {
-        self.terms.turn(speed)
+    pub fn turn(&mut self, calibration: &Calibration<'_>, speed: Rpm) -> bool {
+        self.terms.turn(&calibration.terms, speed)
     }
 
     /// What heat and time have made of the terms of a diagnosis.

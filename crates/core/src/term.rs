@@ -24,6 +24,7 @@
 
 mod category;
 mod effect;
+mod order;
 mod states;
 mod sum;
 #[cfg(test)]
@@ -32,6 +33,7 @@ mod tilt;
 
 pub use category::{Factor, OnOff, ToolTable, UNIT_STEP};
 pub use effect::{Effect, SpeedPower, Target, Term, Terms, heat_terms};
+pub use order::{factor, walked};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, axis_errors, elongation};
 pub use tilt::{LEVER, Tilt};

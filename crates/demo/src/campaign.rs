@@ -22,13 +22,12 @@ pub struct Campaign {
 }
 
 impl Campaign {
-    /// Plays the machine of `seed`; its line.
+    /// Plays this machine; returns its line.
     ///
     /// # Errors
-    /// A board ends, or no machine of this seed can be told.
-    pub fn play(&mut self, boards: &Boards, seed: u64) -> Result<String> {
-        let hidden = Hidden::draw(seed)?;
-        let outcome = act_two(boards, &hidden, &mut |_, _| {})?.outcome;
+    /// A board ends.
+    pub fn play(&mut self, boards: &Boards, hidden: &Hidden) -> Result<String> {
+        let outcome = act_two(boards, hidden, &mut |_, _| {})?.outcome;
         let line = outcome.line();
         self.outcomes.push(outcome);
         Ok(line)

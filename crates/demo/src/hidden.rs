@@ -82,22 +82,48 @@ impl Hidden {
     /// # Errors
     /// None of the machines that were drawn can be told.
     pub fn draw(seed: u64) -> Result<Self> {
-        for attempt in 0..TRIES {
-            let mut stream = Stream::new(seed, &format!("hidden fault {attempt}"));
+        let machine = |stream: &mut Stream| {
             let count = stream.whole(1, 3);
             let kinds: Vec<Kind> =
                 Kind::ALL.into_iter().filter(|kind| of_machine(*kind).len() >= count).collect();
-            let kind = stream.pick(&kinds);
+            (stream.pick(&kinds), count)
+        };
+        Self::draw_of(seed, "hidden fault", machine, None)
+    }
+
+    /// The machine of `seed` that changes its tools, of which each grows with the speed in its own way; another
+    /// fault may be hidden beside that.
+    ///
+    /// # Errors
+    /// None of the machines that were drawn can be told.
+    pub fn draw_with_tools(seed: u64) -> Result<Self> {
+        let machine = |stream: &mut Stream| (Kind::ToolSpindle, stream.whole(1, 2));
+        Self::draw_of(seed, "hidden tools", machine, Some(Fault::ToolGrowth))
+    }
+
+    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be told.
+    fn draw_of(
+        seed: u64,
+        purpose: &str,
+        machine: impl Fn(&mut Stream) -> (Kind, usize),
+        first: Option<Fault>,
+    ) -> Result<Self> {
+        for attempt in 0..TRIES {
+            let mut stream = Stream::new(seed, &format!("{purpose} {attempt}"));
+            let (kind, count) = machine(&mut stream);
             // Far from the seeds of other draws.
             let plant = Plant::draw(kind, seed.wrapping_mul(TRIES).wrapping_add(attempt));
             let mut hidden = Self { seed, plant, faults: Vec::new(), noise_um: 0.0, gap: 0.0 };
             hidden.noise_um = hidden.rms_read(&hidden.left(&hidden.plant.day(0, &[]), 0)?);
             let mut choice = of_machine(kind);
-            for _ in 0..count {
+            for number in 0..count {
                 if choice.is_empty() {
                     break;
                 }
-                let fault = choice.swap_remove(stream.whole(0, choice.len() - 1));
+                let wanted = first.filter(|_| number == 0);
+                let place = wanted.and_then(|first| choice.iter().position(|it| *it == first));
+                let place = place.unwrap_or_else(|| stream.whole(0, choice.len() - 1));
+                let fault = choice.swap_remove(place);
                 // Each fault has to be named by a finding of its own.
                 let own = causes(fault);
                 choice.retain(|other| causes(*other).iter().all(|cause| !own.contains(cause)));

@@ -76,7 +76,8 @@ pub fn gaps(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> G
 
     let (mut unnamed, mut right) = (f64::INFINITY, (f64::INFINITY, Vec::new()));
     // All named, and something more: the best of each number of constants.
-    let mut mixed = [f64::INFINITY; 3 * MOST_LAWS + 1];
+    let largest = answers.laws.iter().map(|(_, constants)| *constants).max().unwrap_or(0);
+    let mut mixed = vec![f64::INFINITY; largest * MOST_LAWS + 1];
     let mut set = Vec::new();
     each_set(laws.len(), MOST_LAWS, &mut set, &mut |set| {
         let is_named = set.iter().fold(0, |all, law| all | named[*law]) == everything;
@@ -214,7 +215,8 @@ impl Answers {
 /// Laws of a spindle's growth.
 fn spindle_laws(record: &Record<'_>) -> Vec<Law> {
     use Fault::{
-        AxialStiffness, CoilTemperature, LostCooling, Room, SensorGain, SpeedGrowth, UnseenHolder,
+        AxialStiffness, CoilTemperature, ColdTool, LostCooling, Room, SensorGain, SpeedGrowth,
+        ToolGrowth, UnseenHolder,
     };
     let Record { run, predicted_um, .. } = record;
     let time_s = run.column("time_s").unwrap_or_default();
@@ -224,12 +226,14 @@ fn spindle_laws(record: &Record<'_>) -> Vec<Law> {
         law(&[], 0, vec![predicted_um.iter().map(|um| um * um).collect()]),
         law(&[], 0, vec![time_s.to_vec()]),
     ];
+    let tools = run.column("tool");
     if let Some(rpm) = run.column("spindle_rpm") {
-        laws.push(law(
-            &[SpeedGrowth],
-            0,
-            vec![rpm.iter().map(|rpm| (rpm / 1000.0).powi(2)).collect()],
-        ));
+        let square: Vec<f64> = rpm.iter().map(|rpm| (rpm / 1000.0).powi(2)).collect();
+        if let Some(tools) = tools {
+            laws.push(law(&[ToolGrowth], 0, by_tool(tools, &square)));
+            laws.push(law(&[], 0, by_tool(tools, &vec![1.0; square.len()])));
+        }
+        laws.push(law(&[SpeedGrowth], 0, vec![square]));
     }
     laws.extend(run.column("load_n").map(|load| law(&[AxialStiffness], 0, vec![load.to_vec()])));
     for lag_s in &LAGS_S[1..] {
@@ -247,6 +251,10 @@ fn spindle_laws(record: &Record<'_>) -> Vec<Law> {
                 own.push(CoilTemperature);
             }
             laws.push(law(&own, usize::from(lag_s > 0.0), vec![lagged(time_s, celsius, lag_s)]));
+            if let (Some(tools), Some(air)) = (tools, run.column("temp_ambient_c")) {
+                let anew = lagged_anew(time_s, celsius, lag_s, tools, air);
+                laws.push(law(&[ColdTool], 1, vec![anew]));
+            }
         }
     }
     laws
@@ -283,6 +291,35 @@ fn axis_laws(record: &Record<'_>) -> Vec<Law> {
         }
     }
     laws
+}
+
+/// A column for each tool: `values` while it is in the spindle, else 0.
+fn by_tool(tools: &[f64], values: &[f64]) -> Vec<Vec<f64>> {
+    let mut numbers = tools.to_vec();
+    numbers.sort_by(f64::total_cmp);
+    numbers.dedup();
+    let of = |number: f64| {
+        let rows = tools.iter().zip(values);
+        rows.map(|(tool, value)| if *tool == number { *value } else { 0.0 }).collect()
+    };
+    numbers.into_iter().map(of).collect()
+}
+
+/// As [`lagged`], but from the air's temperature on again at each change of the tool.
+fn lagged_anew(time_s: &[f64], x: &[f64], lag_s: f64, tools: &[f64], air: &[f64]) -> Vec<f64> {
+    let mut y = air.first().copied().unwrap_or(0.0);
+    (0..x.len())
+        .map(|row| {
+            let before = row.saturating_sub(1);
+            if tools[row] != tools[before] {
+                y = air[row];
+            }
+            let step_s = time_s[row] - time_s[before];
+            let share = if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 };
+            y += (x[row] - y) * share;
+            y
+        })
+        .collect()
 }
 
 fn temperatures(run: &RunFile) -> impl Iterator<Item = (&str, &[f64])> {

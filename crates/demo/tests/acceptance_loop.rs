@@ -96,7 +96,9 @@ fn passes_within_three_turns(growth: f64, time: f64) {
             assert!(acceptance.adjusted().is_none());
             return;
         }
-        assert!(acceptance.html("m").contains("Not passed"));
+        assert!(
+            acceptance.html("m", &trueup_accept::Origin::default(), &[]).contains("Not passed")
+        );
         source = acceptance.adjusted().expect("it says what to change").to_string();
     }
     panic!("not passed in three turns");

@@ -2,6 +2,7 @@
 //! promised. Many seeds are a campaign of its own.
 
 use trueup_demo::{act_two::act_two, boards::Boards, campaign::Campaign, hidden::Hidden};
+use trueup_twin::physical::Fault;
 
 #[test]
 fn a_hidden_fault_is_named_and_another_day_is_better() {
@@ -18,13 +19,32 @@ fn a_hidden_fault_is_named_and_another_day_is_better() {
     );
 }
 
+/// Each tool grows with the speed in its own way, and the file knows no tools: found, compiled, loaded.
+#[test]
+fn a_hidden_growth_by_tool_is_named_and_runs_on_the_board() {
+    let hidden = Hidden::draw_with_tools(1).expect("a machine that can be told");
+    assert!(hidden.sizes().iter().any(|(fault, _)| *fault == Fault::ToolGrowth));
+    let two = act_two(&Boards::InProcess, &hidden, &mut |_, _| {}).expect("it runs through");
+    let it = &two.outcome;
+    println!("{}", it.line());
+    assert!(it.all_right && it.board_s <= 600.0, "{}", it.line());
+    let by_tool = it.findings.iter().find(|it| it.column.as_deref() == Some("tool"));
+    let by_tool = by_tool.unwrap_or_else(|| panic!("{}", it.line()));
+    assert_eq!((by_tool.form, by_tool.times.as_deref()), (Some("level"), Some("speed2")));
+    assert!(by_tool.claimed && by_tool.compensated, "{}", it.line());
+    assert!(it.tool_rms_after_um < 0.5 * it.tool_rms_before_um, "{}", it.line());
+}
+
 #[test]
 #[ignore = "campaign: cargo test -p trueup-demo --test hidden_fault campaign -- --ignored --show-output"]
 fn campaign_of_fixed_seeds() {
     let seeds: u64 = std::env::var("SEEDS").ok().and_then(|it| it.parse().ok()).unwrap_or(200);
     let mut campaign = Campaign::default();
     for seed in 0..seeds {
-        println!("{}", campaign.play(&Boards::InProcess, seed).expect("it runs through"));
+        println!("{}", {
+            let hidden = Hidden::draw(seed).expect("can be told");
+            campaign.play(&Boards::InProcess, &hidden).expect("it runs through")
+        });
     }
     println!("{}", campaign.text());
     let right = campaign.outcomes.iter().filter(|it| it.all_right).count();

@@ -100,14 +100,16 @@ pub fn diagnose_for(
     }
     let Answered { problem, found, aside, judged } = answer;
     let known = outliers::judged(&data, &aside, || predictions(&data, &problem, &found));
-    conclude(
+    let mut concluded = conclude(
         data,
         &problem,
         found,
         &judged,
         SetAside { rows: aside, known },
         Asked { runs, hold_out: test.as_ref(), matters_um, bridge: &bridge, notes },
-    )
+    )?;
+    concluded.name_tools(machine);
+    Ok(concluded)
 }
 
 /// The answer of a search, judged.

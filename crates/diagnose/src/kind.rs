@@ -258,6 +258,14 @@ impl Kind {
     pub(crate) fn next_test(&self, rival: Option<&str>) -> &'static str {
         self.cause().map_or("Vary this column alone.", |effect| effect.next_test(rival))
     }
+
+    /// A measurement with what at the machine may be repaired in place of being corrected.
+    pub(crate) fn with_repair(&self, next_test: String) -> String {
+        match self.cause().and_then(|effect| effect.repair()) {
+            Some(repair) => format!("{next_test} {repair}"),
+            None => next_test,
+        }
+    }
 }
 
 impl Part {

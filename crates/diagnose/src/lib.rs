@@ -68,15 +68,32 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-pub use next::{AxisRun, Next, NoNext, Stretch, Told};
-use trueup_machine::{BadInput, RunFile};
+pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    tool::{TOOL_COLUMN, label_code},
+};
 pub use trueup_page::Origin;
 
 /// What is to be done with [`Report::missing_inputs`].
-pub const MISSING_INPUTS: &str = "the board reads a thermometer only where [inputs] says on which channel it is: put \
-                                  these lines there, with the channel and the kind of yours";
+pub const MISSING_INPUTS: &str = "the board reads a thermometer, and hears a condition, only where [inputs] says on \
+                                  which channel or bit it is: put these lines there, with the channel, kind or bit of \
+                                  yours";
 
 impl Diagnosis {
+    /// Calls a tool by its label where it has no number.
+    fn name_tools(&mut self, machine: &Machine) {
+        let tools = machine.spindle.tools.iter().flat_map(|tools| &tools.tools);
+        for label in tools.filter_map(|tool| tool.label.as_deref()) {
+            let code = format!("{TOOL_COLUMN} = {}", label_code(label));
+            let named = format!("{TOOL_COLUMN} = {label}");
+            for finding in &mut self.report.findings {
+                let texts = finding.evidence.iter_mut().chain([&mut finding.sentence]);
+                texts.for_each(|text| *text = text.replace(&code, &named));
+            }
+        }
+    }
+
     /// `diagnosis.json`.
     ///
     /// # Errors
@@ -85,10 +102,31 @@ impl Diagnosis {
         serde_json::to_string_pretty(&self.report)
     }
 
-    /// `report.html`, of a machine of this name; `origin` is what it was made from.
+    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed next.
     #[must_use]
-    pub fn html(&self, machine_name: &str, origin: &Origin) -> String {
-        answer::html::html(self, machine_name, origin)
+    pub fn html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
+        answer::html::html(self, machine_name, origin, next)
+    }
+
+    /// Returns what an error is of, its RMS before and after in µm: with the machine file as it is, and with
+    /// extended.toml on the board.
+    #[must_use]
+    pub fn before_and_after(&self) -> [(&'static str, f64, f64); 3] {
+        let report = &self.report;
+        let (before, after) = (&report.before, &report.after);
+        let not_fitted = match report.holdout_used {
+            true => "on the hold-out, which has chosen",
+            false => "on rows not used for the fit",
+        };
+        [
+            ("on these rows", before.rms_um, after.compensated_rms_um),
+            (not_fitted, before.holdout_rms_um, after.compensated_holdout_rms_um),
+            (
+                "at the tool, promised for days like these",
+                report.at_tool.before_um,
+                report.at_tool.after_um,
+            ),
+        ]
     }
 
     /// The verdict in a sentence.
@@ -110,8 +148,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.
-    pub fn next(&self) -> Result<Next, NoNext> {
-        next::next(&self.questions, &self.data, &self.runs)
+    pub fn next(&self, gauge: Gauge) -> Result<Next, NoNext> {
+        next::next(&self.questions, &self.data, &self.runs, gauge)
     }
 
     /// What a further run has measured for the first open cause against its rival: the difference of −2·ln of their

@@ -35,6 +35,35 @@ const SUFFICES: f64 = 21.0;
 /// A gap below this is nothing: what chance alone would make of one value.
 const ALIKE: f64 = 1.0;
 
+/// How a reading of a planned run gets into its row.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Gauge {
+    /// A person reads the gauge and the thermometers and writes them down.
+    #[default]
+    Hand,
+    /// A program records them.
+    Auto,
+}
+
+impl Gauge {
+    /// Returns the shortest time from reading to reading of a spindle, in s: a person takes half a minute for a row, and for a
+    /// program three rows a minute are enough for what heats.
+    fn step_s(self) -> f64 {
+        match self {
+            Self::Hand => 30.0,
+            Self::Auto => 20.0,
+        }
+    }
+
+    /// Returns how long an axis stands for a reading, in s; of a program as in `trueup program`.
+    fn dwell_s(self) -> f64 {
+        match self {
+            Self::Hand => 30.0,
+            Self::Auto => 5.0,
+        }
+    }
+}
+
 /// A part of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Stretch {
@@ -166,11 +195,16 @@ impl Next {
 }
 
 /// The shortest run that answers the first of `questions` that any answers.
-pub(crate) fn next(questions: &[Question], data: &Data, runs: &[RunFile]) -> Result<Next, NoNext> {
+pub(crate) fn next(
+    questions: &[Question],
+    data: &Data,
+    runs: &[RunFile],
+    gauge: Gauge,
+) -> Result<Next, NoNext> {
     if questions.is_empty() {
         return Err(NoNext::NothingOpen);
     }
-    let foreseen = foreseen(data, runs)?;
+    let foreseen = foreseen(data, runs, gauge)?;
     let mut refused = None;
     for (number, question) in questions.iter().enumerate() {
         let gaps: Vec<Separation> =
@@ -206,10 +240,10 @@ struct Foreseen {
 }
 
 /// All that are thought of.
-fn foreseen(data: &Data, runs: &[RunFile]) -> Result<Vec<Foreseen>, NoNext> {
+fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>, NoNext> {
     if let Some(axis) = data.quantity.axis() {
         let foresight =
-            AxisForesight::of(runs, &data.machine, axis).map_err(NoNext::NotForeseen)?;
+            AxisForesight::of(runs, &data.machine, axis, gauge).map_err(NoNext::NotForeseen)?;
         let inputs = foresight.inputs();
         let all = foresight.candidates().into_iter().filter_map(|run| {
             let table = foresight.table(&run, data)?;
@@ -219,7 +253,7 @@ fn foreseen(data: &Data, runs: &[RunFile]) -> Result<Vec<Foreseen>, NoNext> {
         });
         return Ok(all.collect());
     }
-    let foresight = Foresight::of(runs).map_err(NoNext::NotForeseen)?;
+    let foresight = Foresight::of(runs, gauge).map_err(NoNext::NotForeseen)?;
     let inputs = foresight.inputs();
     let all = candidates(&foresight).into_iter().filter_map(|stretches| {
         let table = foresight.table(&stretches, data)?;

@@ -240,3 +240,32 @@ fn heat_by_the_speed_is_claimed_with_its_power_and_time_constant_on_an_axis_and_
         assert_eq!(report.verdict.name(), "explained");
     }
 }
+
+/// Readings of `error` of X at uneven places, three cycles there and back.
+fn along(error: impl Fn(f64) -> f64) -> String {
+    let mut noise = Noise(11);
+    let mut run = String::from("run,x_mm,dir_x,measured_dx_um\n");
+    let places: Vec<f64> = (0..21).map(|n| 47.3 * f64::from(n) + 3.0 * noise.next()).collect();
+    for cycle in 1..=3 {
+        for (way, mm) in
+            places.iter().map(|mm| (1, mm)).chain(places.iter().rev().map(|mm| (-1, mm)))
+        {
+            run += &format!("{cycle},{mm:.4},{way},{:.4}\n", error(*mm) + 0.3 * noise.next());
+        }
+    }
+    run
+}
+
+/// A screw that is stretched evenly between its bearings, and one whose pretension ends in the middle of the way: both
+/// say what can be repaired.
+#[test]
+fn a_long_screw_and_a_kink_name_the_pretension_as_what_can_be_repaired() {
+    let machine = format!("{HEAD}[axis.x]\nfeedback = \"screw\"\n");
+    let even = diagnosed(&machine, &along(|mm| 0.02 * mm));
+    let kink = diagnosed(&machine, &along(|mm| 0.03 * (mm - 450.0).max(0.0)));
+    for (diagnosis, cause) in [(even, "pitch-scale"), (kink, "pitch-error")] {
+        let found = finding(&diagnosis, cause);
+        let found = found.unwrap_or_else(|| panic!("{cause}: {:?}", diagnosis.report.findings));
+        assert!(found.next_test.contains("pretension"), "{cause}: {}", found.next_test);
+    }
+}

@@ -18,7 +18,8 @@ fn read(text: &str) -> RunFile {
 
 fn answer(machine: &str, runs: &[&str], holdout: &[&str]) -> Diagnosis {
     let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("a machine file");
-    let read = |texts: &[&str]| texts.iter().map(|text| read(text)).collect::<Vec<_>>();
+    let numbered = |text: &&str| read(text).with_tool_numbers(&machine).expect("all are listed");
+    let read = |texts: &[&str]| texts.iter().map(numbered).collect::<Vec<_>>();
     diagnose(&machine, &read(runs), &read(holdout), None, &mut |_, _| {}).expect("comparable")
 }
 
@@ -89,6 +90,28 @@ fn each_tool_has_its_own_centrifugal_growth() {
         diagnosis.report.findings
     );
     assert!(diagnosis.report.after.holdout_rms_um < 0.6, "{:?}", diagnosis.report.after);
+}
+
+#[test]
+fn a_tool_without_a_number_is_called_by_its_label() {
+    let by_tool = |tool: f64, rpm: f64, _: f64| 0.015 * (tool - 1.0) * (rpm / 1000.0).powi(2);
+    let labelled = |seed: u64| {
+        let text = day(seed, by_tool);
+        let mut rows = text.lines().map(|row| row.split(',').collect::<Vec<_>>());
+        let mut csv = rows.next().expect("a header").join(",") + "\n";
+        for mut cells in rows {
+            cells[3] = ["drill", "mill", "probe"][cells[3].parse::<usize>().expect("a tool") - 1];
+            writeln!(csv, "{}", cells.join(",")).expect("text");
+        }
+        csv
+    };
+    let tools = "[spindle.tools]\ndrill = { um_per_krpm2 = 0.0 }\nmill = { number = 2, um_per_krpm2 = 0.0 }\n\
+                 probe = { um_per_krpm2 = 0.0 }\ndefault = { um_per_krpm2 = 0.0 }\n";
+    let diagnosis = answer(&format!("{MACHINE}{tools}"), &[&labelled(3)], &[&labelled(4)]);
+    let [found] = claimed(&diagnosis)[..] else { panic!("{:?}", diagnosis.report.findings) };
+    for tool in ["tool = drill", "tool = 2", "tool = probe"] {
+        assert!(found.sentence.contains(tool), "{}", found.sentence);
+    }
 }
 
 /// Only with tools 2 and 3 does the force bend something: 0.1 and −0.2 µm for each unit.

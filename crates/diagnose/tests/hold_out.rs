@@ -60,7 +60,7 @@ fn what_makes_a_hold_out_worse_is_not_handed_out_and_what_does_not_is() {
     assert_eq!(report.left_out.len(), 1);
     assert!(report.findings.iter().all(|finding| !finding.claimed), "judged beside what is not so");
     assert!(report.findings.iter().any(|it| it.cause == "cutting-load" && it.compensated));
-    let html = diagnosis.html("m", &Origin::default());
+    let html = diagnosis.html("m", &Origin::default(), &[]);
     assert!(html.contains("verdict bad\"") && html.contains("The hold-out has chosen"));
     assert!(html.contains("extra-heat-path temp_a_c: the hold-out becomes worse by it"));
     // The file that is handed out is predicted as any other, and is better than what was believed.

@@ -14,7 +14,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use rand::{Rng as _, SeedableRng as _};
 use serde_json::{Value, json};
 use trueup_core::curve::SEGMENT_SIZE;
-use trueup_machine::{MachineFile, compile};
+use trueup_machine::{MachineFile, compile, compile::Compiled};
 use trueup_node::vectors;
 
 use crate::{
@@ -60,14 +60,19 @@ impl Measured {
 /// # Errors
 /// Something does not build, or the board does not come to its end.
 pub fn run(vectors: u32) -> Result<Measured> {
-    let machine = MachineFile::read(&setup::root().join("data/gantry.toml"))?;
-    let machine = compile(&machine)?;
+    let gantry = setup::root().join("data/gantry.toml");
+    let machine = compile(&MachineFile::read(&gantry)?)?;
+    let by_tool = fs::read_to_string(&gantry)? + &by_tool();
+    let by_tool = compile(&MachineFile::parse(&by_tool, Path::new("by_tool.toml"))?)?;
     let curves = MachineFile::parse(&curves(), Path::new("curves.toml"))?;
     let curves = compile(&curves)?;
     let image = firmware::build_measure()?;
-    let numbers = board(&image, machine.blob(), curves.blob(), vectors)?;
-    let identical =
-        number(&numbers, "checksum", 0)? == vectors::checksum(machine.calibration(), vectors);
+    let blobs = [machine.blob(), by_tool.blob(), curves.blob()];
+    let numbers = board(&image, blobs, vectors)?;
+    let is_same = |name: &str, compiled: &Compiled| -> Result<bool> {
+        Ok(number(&numbers, name, 0)? == vectors::checksum(compiled.calibration(), vectors))
+    };
+    let identical = is_same("checksum", &machine)? && is_same("checksum_by_tool", &by_tool)?;
     let size = size::of(&firmware::build(Board::Stm32f405)?)?;
 
     let (mut segments, mut bytes) = (0, 0);
@@ -86,6 +91,7 @@ pub fn run(vectors: u32) -> Result<Measured> {
     let per_sample = at("filter", 1)? as f64 / 20.0;
     let json = json!({
         "tick_instructions": spread("tick")?,
+        "tick_by_tool_instructions": spread("tick_by_tool")?,
         "hear_instructions": spread("hear")?,
         "millisecond_instructions": spread("millisecond")?,
         "parts": {
@@ -140,11 +146,12 @@ pub fn run(vectors: u32) -> Result<Measured> {
 }
 
 /// Runs the image to its end and gives what it has written.
-fn board(image: &Path, blob: &[u8], curves: &[u8], vectors: u32) -> Result<Numbers> {
+fn board(image: &Path, blobs: [&[u8]; 3], vectors: u32) -> Result<Numbers> {
     let arguments = ["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"];
     let mut qemu = Qemu::start(image, &arguments, |folder| {
-        fs::write(folder.join("calibration.bin"), blob)?;
-        fs::write(folder.join("curves.bin"), curves)?;
+        for (name, blob) in ["calibration.bin", "by_tool.bin", "curves.bin"].iter().zip(blobs) {
+            fs::write(folder.join(name), blob)?;
+        }
         Ok(fs::write(folder.join("vectors"), vectors.to_le_bytes())?)
     })?;
     let end = Instant::now() + TIMEOUT;
@@ -173,6 +180,28 @@ type Numbers = BTreeMap<String, Vec<u64>>;
 fn number(numbers: &Numbers, name: &str, place: usize) -> Result<u64> {
     let values = numbers.get(name).with_context(|| format!("the board does not say {name}"))?;
     values.get(place).copied().with_context(|| format!("the board says too little of {name}"))
+}
+
+/// Four terms for the gantry: the growth of 32 tools, a condition, one behind a lag, and one that is a factor on the growth.
+fn by_tool() -> String {
+    let mut text = String::from(
+        "\n[inputs.coolant_on]\nkind = \"condition\"\nbit = 0\n[inputs.door_open]\nkind = \"condition\"\nbit = 9\n\
+         [inputs.clamp]\nkind = \"condition\"\nbit = 15\n[spindle.tools]\ndefault = { um_per_krpm2 = 0.01 }\n",
+    );
+    for tool in 1..=32 {
+        text += &format!("{tool} = {{ um_per_krpm2 = {} }}\n", 0.001 * f64::from(tool - 16));
+    }
+    for (quantity, column, more) in [
+        ("elongation", "coolant_on", "level_um = [0.0, 3.0]\nlag_s = 60.0"),
+        ("dx", "door_open", "level_um = [0.0, -2.0]"),
+        ("elongation", "clamp", "times = \"growth\"\nlevel_factor = [0.0, 0.05]"),
+    ] {
+        text += &format!(
+            "[[term]]\ncause = \"dependence\"\nquantity = \"{quantity}\"\ncolumn = \"{column}\"\nform = \"level\"\n\
+             levels = [0.0, 1.0]\n{more}\n"
+        );
+    }
+    text
 }
 
 /// A machine with a curve of 8 segments and one of 512, knots 0.5 to 1.5 of their mean apart.

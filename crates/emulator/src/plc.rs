@@ -4,7 +4,11 @@
 use std::fmt::Write as _;
 
 use trueup_core::cnc::Control;
-use trueup_modbus::{cnc::Cnc, server::checksum, table::INPUT_LEN};
+use trueup_modbus::{
+    cnc::{Cnc, written},
+    server::checksum,
+    table::INPUT_LEN,
+};
 
 /// The unit of a board whose switches are open.
 pub const UNIT: u8 = 1;
@@ -36,6 +40,7 @@ pub fn read_pdu() -> Vec<u8> {
 #[must_use]
 pub fn write_pdu(control: Control, counter: u16) -> Vec<u8> {
     let block = Cnc { control, ..Cnc::default() }.encode(counter);
+    let block = written(&block);
     let words = block.iter().flat_map(|word| word.to_be_bytes());
     let head = [16, 0, 0, 0, block.len() as u8, 2 * block.len() as u8];
     head.into_iter().chain(words).collect()

@@ -229,7 +229,7 @@ fn plan<'m>(
         }
     }
     Err(format!(
-        "it rises by more than {MOST_STEP} times 8 units of {} um a section, and finer sections \
+        "it rises by more than {MOST_STEP} times 8 units of {} µm a section, and finer sections \
          would take more than {MOST_POINTS} points",
         number(options.unit_um, 4)
     ))
@@ -325,7 +325,7 @@ fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
         report.note("3627 suits an axis that is referenced in the positive direction");
     }
     report.note(format!(
-        "X, Y, Z are the axes 1, 2, 3{}; detection unit {} um; 3624 in 0.001 mm",
+        "X, Y, Z are the axes 1, 2, 3{}; detection unit {} µm; 3624 in 0.001 mm",
         if seconds.is_empty() { "" } else { ", the second drives of gantries 4 and up" },
         number(options.unit_um, 4)
     ));
@@ -394,7 +394,7 @@ fn compare_axis(
     };
     let (stepped, interpolated) = (with(false), with(true));
     export.report.note(format!(
-        "{}: with the option of interpolated compensation the largest difference is {:.4} um at {}",
+        "{}: with the option of interpolated compensation the largest difference is {:.4} µm at {}",
         drive.name(),
         interpolated.um,
         interpolated.at
@@ -408,8 +408,8 @@ fn compare_axis(
     } else {
         is_off.then(|| {
             format!(
-                "each value is given out at once, in the middle of its section: up to {:.1} um off; with \
-                 the option of interpolated compensation {:.1} um",
+                "each value is given out at once, in the middle of its section: up to {:.1} µm off; with \
+                 the option of interpolated compensation {:.1} µm",
                 stepped.um, interpolated.um
             )
         })

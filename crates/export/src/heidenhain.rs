@@ -192,7 +192,7 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
         best_rows(&positions_mm, &values, tolerance_um, most)
     };
     let loss = (off_um > options.tolerance_um).then(|| {
-        format!("thinned to the best {} entries: lines up to {off_um:.3} um off", rows.len())
+        format!("thinned to the best {} entries: lines up to {off_um:.3} µm off", rows.len())
     });
 
     let name = format!("{}.com", of.key);

@@ -117,7 +117,7 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
     let is_lost = !keeps_all && (!drive.is_curved() || off_um > options.tolerance_um);
     let loss = is_lost.then(|| {
         format!(
-            "{} of {} points are left out, down to the best {}: lines up to {off_um:.3} um off",
+            "{} of {} points are left out, down to the best {}: lines up to {off_um:.3} µm off",
             positions_mm.len() - rows.len(),
             positions_mm.len(),
             rows.len()

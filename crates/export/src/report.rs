@@ -149,10 +149,10 @@ impl Display for Report {
             }
             writeln!(f)?;
             if table.constant_um != 0.0 {
-                writeln!(f, "  constant taken out: {:+.3} um", table.constant_um)?;
+                writeln!(f, "  constant taken out: {:+.3} µm", table.constant_um)?;
             }
             let Difference { um, at } = &table.largest;
-            writeln!(f, "  largest difference from the model: {um:.4} um at {at}")?;
+            writeln!(f, "  largest difference from the model: {um:.4} µm at {at}")?;
             if let Some(loss) = &table.loss {
                 writeln!(f, "  loss: {loss}")?;
             }
@@ -167,6 +167,6 @@ impl Display for Report {
             writeln!(f, "\nto know and to do:")?;
             self.notes.iter().try_for_each(|note| writeln!(f, "  {note}"))?;
         }
-        write!(f, "\nlargest difference of all: {:.4} um", self.largest_um())
+        write!(f, "\nlargest difference of all: {:.4} µm", self.largest_um())
     }
 }

@@ -85,7 +85,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
         if drive.is_flat() {
             let um = drive.error_um(0.0, Approach::Positive);
             export.report.note(format!(
-                "{}: the same {um:+.3} um everywhere is a shift of the zero, nothing to correct",
+                "{}: the same {um:+.3} µm everywhere is a shift of the zero, nothing to correct",
                 drive.section()
             ));
             continue;

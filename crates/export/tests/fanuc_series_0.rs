@@ -100,7 +100,7 @@ fn straightness_that_four_points_cannot_hold_is_not_written_and_its_loss_is_told
     let off_um: f64 = reason
         .split(' ')
         .zip(reason.split(' ').skip(1))
-        .find_map(|(number, unit)| (unit == "um").then(|| number.parse().ok())?)
-        .expect("a loss in um");
+        .find_map(|(number, unit)| (unit == "µm").then(|| number.parse().ok())?)
+        .expect("a loss in µm");
     assert!((30.0..40.0).contains(&off_um), "{reason}");
 }

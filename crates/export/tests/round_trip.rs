@@ -203,7 +203,7 @@ fn linuxcnc_corrects_every_drive_exactly() {
             assert!(!export.report.is_whole(), "heat and straightness are left out");
         }
     }
-    println!("linuxcnc: {MACHINES} machines, largest difference {worst:.6} um");
+    println!("linuxcnc: {MACHINES} machines, largest difference {worst:.6} µm");
     assert!(worst < 0.001, "{worst} µm");
 }
 
@@ -284,7 +284,7 @@ fn siemens_corrects_every_drive_and_every_pair_within_the_tolerance() {
         }
     }
     println!(
-        "siemens-840d: {MACHINES} machines, largest difference {worst:.4} um, heat {heat:.4} um; {thinned} \
+        "siemens-840d: {MACHINES} machines, largest difference {worst:.4} µm, heat {heat:.4} µm; {thinned} \
          tables at the limit of points"
     );
     assert!(worst <= Options::default().tolerance_um, "{worst} µm");
@@ -329,7 +329,7 @@ fn heidenhain_corrects_every_drive_and_every_pair_within_tolerance_and_rounding(
         let thinned = export.report.tables.iter().filter(|table| table.loss.is_some()).count();
         assert_eq!(thinned, 0, "{}", export.report);
     }
-    println!("heidenhain: {MACHINES} machines, largest difference {worst:.4} um");
+    println!("heidenhain: {MACHINES} machines, largest difference {worst:.4} µm");
     // Half the tolerance for the lines, half of 0.1 µm for the rounding, and positions to 0.1 µm.
     assert!(worst < 0.11, "{worst} µm");
 }

@@ -1,16 +1,18 @@
 //! `[straightness.z_of_x]`: the curve of a run, as a report and a section.
 //!
-//! The curve itself is found by [`straightness`].
+//! The curve itself is found by [`straightness`]. Readings that stand alone among the repeats of their position are excluded
+//! first, as in `fit pitch`.
 
 use trueup_machine::{
     BadInput,
     applied::Unaided,
     file::write::{Edit, NewSection, rounded},
 };
+use trueup_numerics::repeats;
 
 use crate::{
     elongation::summary,
-    report::{Fact, Parameter, Report, Spread, Verdict},
+    report::{Fact, Parameter, Report, SetAside, Spread, Verdict},
     straightness::{self, Options, ReferenceLine, StraightnessCurve, Way},
 };
 
@@ -33,16 +35,46 @@ pub fn fit(
     let position = format!("{}_mm", curve.along.name());
     let (positions, measured) = (run.require(&position)?, run.require(&column)?);
     let mut y = measured.to_vec();
-    if let Some(known_um) = known_um(&curve)? {
-        y.iter_mut().zip(&known_um).for_each(|(y, known)| *y -= known);
+    let known_um = known_um(&curve)?;
+    if let Some(known_um) = &known_um {
+        y.iter_mut().zip(known_um).for_each(|(y, known)| *y -= known);
+    }
+    let direction = run.column(&format!("dir_{}", curve.along.name()));
+    let found = alone(positions, direction, &y);
+    let set_aside = found.iter().map(|row| SetAside {
+        place: run.place(*row, &column),
+        measured_um: measured[*row],
+        reason: "far from the other readings at its position".into(),
+    });
+    let set_aside: Vec<SetAside> = set_aside.collect();
+    found.iter().for_each(|row| y[*row] = f64::NAN);
+    if known_um.is_some() || !found.is_empty() {
         let there = |row: &usize| !positions[*row].is_nan() && !y[*row].is_nan();
         let rows: Vec<usize> = (0..y.len()).filter(there).collect();
         let take = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
         curve.fit = straightness::fit(&take(positions), &take(&y), options)
             .map_err(|fault| run.bad(0, &position, fault))?;
-        curve.rows_incomplete = y.len() - rows.len();
+        curve.rows_incomplete = y.len() - rows.len() - found.len();
     }
-    Ok(report(&curve, &y, positions, column))
+    Ok(Report { set_aside, ..report(&curve, &y, positions, column) })
+}
+
+/// Returns the rows that stand alone among the repeats of their position and direction.
+fn alone(positions: &[f64], direction: Option<&[f64]>, y: &[f64]) -> Vec<usize> {
+    let there = |row: &usize| positions[*row].is_finite() && y[*row].is_finite();
+    let rows: Vec<usize> = (0..y.len()).filter(there).collect();
+    let at: Vec<f64> = rows.iter().map(|row| positions[*row]).collect();
+    // Only equal positions: a curve may be read anywhere.
+    let (_, place_of) = repeats::places(&at, 0.0);
+    let side = |row: usize| usize::from(direction.is_some_and(|all| all[row] < 0.0));
+    let stops: Vec<(usize, usize)> =
+        rows.iter().zip(place_of).map(|(row, place)| (place, side(*row))).collect();
+    let cycles = repeats::arrivals(&stops);
+    let readings = rows.iter().zip(stops).zip(cycles).map(|((row, (place, side)), cycle)| {
+        repeats::Reading { place, side, cycle, value: y[*row] }
+    });
+    let found = repeats::gross(&readings.collect::<Vec<_>>());
+    rows.into_iter().zip(found).filter(|(_, found)| *found).map(|(row, _)| row).collect()
 }
 
 fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: String) -> Report {
@@ -71,7 +103,7 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
         report.facts.push(Fact::text(
             format!("compared: {}", way.way),
             format!(
-                "{} coefficients, {:.3} um RMS, at positions left out {left_out:.3} um RMS",
+                "{} coefficients, {:.3} µm RMS, at positions left out {left_out:.3} µm RMS",
                 way.coefficients, way.residual.rms_um
             ),
         ));
@@ -92,7 +124,7 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
     report.facts.push(Fact::text("stopped_because", fit.stopped.to_string()));
     if let Some(tolerance) = fit.tolerance_um.filter(|_| !fit.is_within_tolerance) {
         report.unmet.push(format!(
-            "the largest residual is {:.3} um, the tolerance {tolerance} um: {}",
+            "the largest residual is {:.3} µm, the tolerance {tolerance} µm: {}",
             fit.residual.largest_um, fit.stopped
         ));
     }
@@ -101,8 +133,8 @@ fn report(curve: &StraightnessCurve, y: &[f64], positions: &[f64], column: Strin
         && left.rms_um >= before.rms_um
     {
         report.verdict = Verdict::DoNotCompensate(vec![
-            format!("positions left out are {:.3} um RMS away from the curve", left.rms_um),
-            format!("they are {:.3} um RMS without any", before.rms_um),
+            format!("positions left out are {:.3} µm RMS away from the curve", left.rms_um),
+            format!("they are {:.3} µm RMS without any", before.rms_um),
         ]);
         return report;
     }

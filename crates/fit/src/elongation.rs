@@ -296,11 +296,11 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
     if left_out.rms_um >= bar {
         report.verdict = Verdict::DoNotCompensate(vec![
             format!(
-                "left-out rows ({}) are {:.3} um RMS away with the correction",
+                "left-out rows ({}) are {:.3} µm RMS away with the correction",
                 report.left_out_by, left_out.rms_um
             ),
             format!(
-                "they are {:.3} um RMS without any, and {constant:.3} um with a constant alone",
+                "they are {:.3} µm RMS without any, and {constant:.3} µm with a constant alone",
                 before.rms_um
             ),
         ]);
@@ -310,7 +310,7 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
 /// A line above the section.
 pub(crate) fn summary(report: &Report) -> String {
     let rms = |spread: Option<Spread>| {
-        spread.map_or("not known".to_string(), |spread| format!("{:.3} um RMS", spread.rms_um))
+        spread.map_or("not known".to_string(), |spread| format!("{:.3} µm RMS", spread.rms_um))
     };
     format!(
         "fitted to {} rows: {}, on left-out rows {}",

@@ -283,7 +283,7 @@ impl fmt::Display for Iso230 {
     /// The table of the targets and the figures of the axis, in µm to two decimals.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let cell = |value: Option<f64>| value.map_or("-".to_string(), |um| format!("{um:.2}"));
-        writeln!(f, "ISO 230-2, deviations in um, actual minus target")?;
+        writeln!(f, "ISO 230-2, deviations in µm, actual minus target")?;
         let head = ["i", "P mm", "n", "x̄↑", "x̄↓", "x̄", "B", "s↑", "s↓", "R↑", "R↓", "R"];
         write!(f, "{:>4} {:>11} {:>4}", head[0], head[1], head[2])?;
         for name in &head[3..] {

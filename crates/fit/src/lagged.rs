@@ -159,7 +159,7 @@ impl<'a> Lagged<'a> {
             {
                 plain.warning = Some(format!(
                     "a lag of {lag_s:.0} s would fit these rows better ({in_lagged:.3} instead of \
-                     {in_plain:.3} um RMS) but not rows that were left out ({:.3} instead of \
+                     {in_plain:.3} µm RMS) but not rows that were left out ({:.3} instead of \
                      {plain_rms:.3}): none is taken",
                     lagged_rms.unwrap_or(f64::NAN)
                 ));

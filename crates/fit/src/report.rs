@@ -197,7 +197,7 @@ pub struct SetAside {
 
 impl fmt::Display for SetAside {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: set aside, {} um is {}", self.place, self.measured_um, self.reason)
+        write!(f, "{}: set aside, {} µm is {}", self.place, self.measured_um, self.reason)
     }
 }
 

@@ -295,7 +295,7 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
     if ends.is_none() {
         report.warnings.push(format!(
             "the record does not show a kink at which the growth ends, so exponent is set: what \
-             was measured is the time constant of {:.0} s and the final growth of {size:.2} um, \
+             was measured is the time constant of {:.0} s and the final growth of {size:.2} µm, \
              and warm_s and max_um follow from them",
             constants.tau_s
         ));
@@ -354,7 +354,7 @@ fn say_conditions(report: &mut Report, rows: &Rows<'_>, record: &Record<'_>, y: 
             let rms = Spread::of(&fit.residuals).map_or(0.0, |spread| spread.rms_um);
             let text = format!(
                 "{speed}lag_s {:.1}, warm_s {:.1}, max_um {:.2}, exponent {:.2}, time constant \
-                 {:.1} s, {rms:.3} um RMS",
+                 {:.1} s, {rms:.3} µm RMS",
                 model.lag_s,
                 model.warm_s,
                 model.max_um,

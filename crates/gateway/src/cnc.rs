@@ -6,7 +6,9 @@ use std::time::Duration;
 use trueup_core::cnc::{Control, LinearAxis};
 use trueup_link::{
     frame::Frame,
-    frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, SPINDLE_PERIOD_MS},
+    frames::{
+        self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, SPINDLE_PERIOD_MS,
+    },
 };
 use trueup_modbus::cnc::Cnc;
 
@@ -39,6 +41,7 @@ pub struct Speaker {
     positions: [Course; 3],
     rotary: Course,
     spindle: Course,
+    conditions: Course,
     last: Option<Control>,
     due: Vec<Frame>,
 }
@@ -68,6 +71,11 @@ impl Speaker {
         {
             self.due.push(frames::spindle(spindle, counter));
         }
+        if let Some(conditions) = said.conditions
+            && let Some(counter) = self.conditions.due(now, CONDITIONS_PERIOD_MS, false)
+        {
+            self.due.push(frames::conditions(conditions, counter));
+        }
     }
 
     /// The frames that are due.
@@ -80,7 +88,7 @@ impl Speaker {
 mod tests {
     use super::*;
     use trueup_core::{
-        cnc::{AxisPosition, Command, Heading, Spindle},
+        cnc::{AxisPosition, Command, Conditions, Heading, Spindle},
         units::{Position, Rpm},
     };
     use trueup_link::receiver::Receiver;
@@ -93,16 +101,19 @@ mod tests {
             positions: LinearAxis::ALL.map(|axis| Some(at(axis))),
             rotary: None,
             spindle: Some(Spindle { speed: Rpm(9), load_n: -3 }),
+            conditions: None,
         };
         let (mut speaker, mut receiver) = (Speaker::default(), Receiver::new());
-        let (mut controls, mut positions, mut others) = (vec![], 0, 0);
+        let (mut controls, mut tools, mut positions, mut others) = (vec![], vec![], 0, 0);
         for ms in 0..100 {
             said.control.engage = ms >= 33;
+            said.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
             speaker.say(Duration::from_millis(ms), &said);
             for frame in speaker.take() {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Command::Control(control)) => controls.push((ms, control.engage)),
                     Some(Command::Position(_)) => positions += 1,
+                    Some(Command::Conditions(it)) => tools.push((ms, it.tool, it.bits)),
                     _ => others += 1,
                 }
             }
@@ -110,6 +121,7 @@ mod tests {
         let expected = [(0, false), (20, false), (33, true), (53, true), (73, true), (93, true)];
         assert_eq!(controls, expected);
         assert_eq!((positions, others), (150, 5));
+        assert_eq!(tools, [(0, 3, 1), (50, 4, 1)], "20 a second");
         assert_eq!(speaker.take(), []);
     }
 }

@@ -1,9 +1,6 @@
-//! How both ends are, as a line of JSON: once a second, and at once when something has changed.
+//! How both ends are, as a line of JSON. When it is written, [`crate::journal`] decides.
 
-use std::{
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::{Value, json};
 use trueup_client::words::{output_json, state_words};
@@ -14,9 +11,6 @@ use crate::{
     bridge::Shared,
     hub::{MAY_BE_OLD, OTHER_CALIBRATION},
 };
-
-/// How often it is told.
-pub const PERIOD: Duration = Duration::from_secs(1);
 
 /// The PLC's end, as whoever serves it knows it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -97,20 +91,16 @@ pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
     })
 }
 
-/// What has to be told at once when it changes.
-#[must_use]
-pub fn news(line: &Value) -> [Value; 7] {
-    let of = |end: &str, what: &str| line[end][what].clone();
-    [
-        of("bridge", "line"),
-        of("bridge", "heard"),
-        of("bridge", "quality"),
-        of("bridge", "state"),
-        of("plc", "line"),
-        of("plc", "heard"),
-        of("plc", "engage"),
-    ]
-}
+/// The members that are written at once when they change.
+pub(crate) const NEWS: [&str; 7] = [
+    "/bridge/line",
+    "/bridge/heard",
+    "/bridge/quality",
+    "/bridge/state",
+    "/plc/line",
+    "/plc/heard",
+    "/plc/engage",
+];
 
 fn word(is_up: bool) -> &'static str {
     if is_up { "up" } else { "down" }

@@ -30,7 +30,7 @@ use trueup_modbus::{
     input::{self, Input},
     server::Busy,
     slopes,
-    table::HOLDING_LEN,
+    table::WHOLE_HOLDING_LEN,
 };
 
 use crate::cnc::Speaker;
@@ -138,7 +138,7 @@ impl Hub {
             input,
             master: None,
             checker: Checker::default(),
-            holding: [0; HOLDING_LEN],
+            holding: [0; WHOLE_HOLDING_LEN],
             speaker: Speaker::default(),
             control: None,
             arrived: None,

@@ -18,6 +18,7 @@
 //! | [`rtu`] | Modbus RTU on a serial port |
 //! | [`s7`] | ISO-on-TCP: the small client, and the loop that writes and reads the data block |
 //! | [`health`] | how both ends are, as lines of JSON |
+//! | [`journal`] | which of them are written: at most a megabyte a day |
 //! | [`pause`] | how long is waited before something is opened again |
 //!
 //! A gateway invents no life: an old offset never gets a new counter, and `Control` goes to the bridge
@@ -29,6 +30,7 @@ pub mod bridge;
 pub mod cnc;
 pub mod health;
 pub mod hub;
+pub mod journal;
 pub mod modbus;
 pub mod pause;
 pub mod rtu;

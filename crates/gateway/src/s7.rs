@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  byte   0 … 55    input block, written by the gateway alone; in mode slope 0 … 63
-//!        64 … 97    holding block, written by the PLC's program alone
+//!        64 … 103   holding block, written by the PLC's program alone; in a data block of before tool and conditions … 97
 //! ```
 
 pub mod client;
@@ -13,15 +13,19 @@ use std::{
     time::{Duration, Instant},
 };
 
-use trueup_modbus::{cnc, table::HOLDING_LEN};
+use trueup_modbus::{
+    cnc,
+    table::{HOLDING_LEN, WHOLE_HOLDING_LEN},
+};
 
 use crate::{bridge::Shared, health::End, hub::MASTER_LASTS, pause::Pause};
 use client::{Client, Error, Place};
 
 /// Where the holding block begins in the data block, in bytes.
 pub const HOLDING_AT: usize = 64;
-/// Bytes of the holding block.
-const HOLDING_BYTES: usize = 2 * HOLDING_LEN;
+/// Bytes of the holding block, and of one in a data block that ends without tool and conditions.
+const HOLDING_BYTES: usize = 2 * WHOLE_HOLDING_LEN;
+const SHORT_HOLDING_BYTES: usize = 2 * HOLDING_LEN;
 /// The one master there is.
 const PLC: u64 = 0;
 
@@ -82,6 +86,7 @@ fn exchange(
     end: &End,
 ) -> (Option<Error>, bool) {
     let mut has_written = false;
+    let mut length = HOLDING_BYTES;
     let mut seen = Seen::default();
     let mut due = Instant::now();
     while !shared.has_ended() {
@@ -98,8 +103,13 @@ fn exchange(
         });
         let mut read = [0; HOLDING_BYTES];
         let asked = Instant::now();
-        if let Err(error) = client.read(target.db, HOLDING_AT, &mut read) {
-            return (Some(error), has_written);
+        match client.read(target.db, HOLDING_AT, &mut read[..length]) {
+            Ok(()) => {}
+            Err(Error::Item(_)) if length == HOLDING_BYTES => {
+                length = SHORT_HOLDING_BYTES;
+                continue;
+            }
+            Err(error) => return (Some(error), has_written),
         }
         let block = registers(&read);
         // An answer that took long may be as old as its question: it is seen, and not said.
@@ -156,7 +166,7 @@ fn bytes(block: &[u16]) -> Vec<u8> {
 }
 
 fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
-    let mut block = [0; HOLDING_LEN];
+    let mut block = [0; WHOLE_HOLDING_LEN];
     for (place, word) in block.iter_mut().zip(bytes.as_chunks::<2>().0) {
         *place = u16::from_be_bytes(*word);
     }
@@ -165,8 +175,38 @@ fn registers(bytes: &[u8; HOLDING_BYTES]) -> cnc::Registers {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        client::tests::{CONFIRM, answer, cpu, set_up, tpkt},
+        *,
+    };
+    use std::sync::{Arc, atomic::AtomicBool};
+    use trueup_client::pinned::{Pinned, Rule};
     use trueup_modbus::cnc::Cnc;
+
+    /// A data block of before tool and conditions ends at byte 97: what reads beyond it gets an error of its item.
+    #[test]
+    fn a_data_block_of_before_is_read_as_far_as_it_goes() {
+        let block = |counter| {
+            let registers = Cnc::default().encode(counter);
+            let bytes: Vec<u8> = registers.iter().flat_map(|it| it.to_be_bytes()).collect();
+            [&[0xFF, 4, 1, 16][..], &bytes[..SHORT_HOLDING_BYTES]].concat()
+        };
+        let mut answers = vec![tpkt(CONFIRM), set_up(1, 240)];
+        let exchanges = [vec![5, 0, 0, 0], block(1), block(2)];
+        for (data, reference) in exchanges.into_iter().zip([2, 4, 6]) {
+            answers.push(answer(reference, &[5, 1], &[0xFF]));
+            answers.push(answer(reference + 1, &[4, 1], &data));
+        }
+        let shared = Shared::new(Arc::new(AtomicBool::new(false)), Pinned::new(Rule::Any));
+        let place = cpu(answers, 1_000);
+        let target =
+            Target { place, db: 900, period: Duration::from_millis(1), mode: Mode::Offsets };
+        let mut client = Client::connect(&target.place).expect("a CPU");
+        // It goes at its end.
+        let (why, has_written) = exchange(&shared, &target, &mut client, &End::default());
+        assert!(has_written && matches!(why, Some(Error::Io(_))), "{why:?}");
+        assert_eq!(shared.hub().holding(), Cnc::default().encode(2));
+    }
 
     #[test]
     fn what_a_stopped_program_has_left_in_the_block_is_no_sign_of_life() {

@@ -1,6 +1,7 @@
 //! Files of instruments and controls that are no plain table.
 
 mod comp;
+mod control_tables;
 mod height_map;
 mod rtl;
 
@@ -31,6 +32,15 @@ pub(crate) fn recognise(
     }
     if rtl::is_it(text) {
         return Ok(Some(("Renishaw target data", rtl::read(text, answers, path)?)));
+    }
+    if control_tables::is_siemens(text) {
+        return Ok(Some(("SINUMERIK encoder compensation", control_tables::siemens(text, path)?)));
+    }
+    if control_tables::is_heidenhain(text) {
+        return Ok(Some((
+            "HEIDENHAIN compensation table",
+            control_tables::heidenhain(text, path)?,
+        )));
     }
     if comp::is_it(path) {
         return Ok(Some(("LinuxCNC compensation file", comp::read(text, path)?)));

@@ -12,7 +12,8 @@
 //!
 //! The likelihood of a bad reading bounds the evidence of any single one (6.6 of the 11.5 that are needed, at 2 µm), so
 //! three that agree are the least. An event is reported from a size of [`MATERIAL`] times the scatter on, and of
-//! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed.
+//! [`KNOWN`] times the uncertainty of the prediction: what was never known has not changed. σ is the scatter of the readings
+//! about their predictions, which contains what these are usually uncertain by; only more than that is added.
 //!
 //! Two alternatives are distinguished by these readings where the best explanation by one differs from the best by
 //! the other by four standard errors or more: √(Σ(δh − δ'h')²/σ²) ≥ 4. Else both are named.
@@ -29,25 +30,29 @@ const BAD: f64 = 0.05;
 const RANGE_UM: f64 = 200.0;
 /// The smallest event, RMS over the readings after it, in scatters of a reading: what is smaller is followed as it ages.
 const MATERIAL: f64 = 3.0;
-/// And in µm: any tool setter keeps 5 µm, and what a machine ages by over a weekend is no event however well a probe repeats (with
-/// multiples of the scatter alone the worst of sixty months that age fast is followed worse than to 3.5 µm).
-const MATERIAL_UM: f64 = 5.0;
-/// The smallest step of the zero, in scatters, and in µm: one and a half standard deviations of what is believed of it before the
-/// first reading.
-const ZERO: f64 = 3.5;
+/// The smallest event that acts on the estimate, in µm: any tool setter keeps 5 µm, and the estimate follows by itself what a
+/// machine ages by over a weekend (with multiples of the scatter alone the worst of sixty months that age fast is followed worse
+/// than to 3.5 µm). It is reported all the same.
+const ACTS_UM: f64 = 5.0;
+/// The smallest step of the zero that readings count from, in scatters, and in µm: one and a half standard deviations of what is
+/// believed of it before the first reading.
+const ZERO: f64 = 3.0;
 const ZERO_UM: f64 = 7.5;
 
-/// Returns the smallest step of the zero, in µm, for a scatter of a reading in µm.
+/// Returns the smallest step of the zero that readings count from, in µm, for a scatter of a reading in µm.
 pub(crate) fn smallest_step_um(scatter_um: f64) -> f64 {
     (ZERO * scatter_um).max(ZERO_UM)
 }
 
 /// And in standard deviations of the prediction.
 const KNOWN: f64 = 4.0;
+/// The prediction's usual uncertainty, as a share of the scatter that contains it: where a constant may go anywhere in a month,
+/// two readings a day leave so much.
+const USUAL: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
 const FEWEST: usize = 3;
-/// A reading agrees with an event that makes it seven times as likely, in ln.
-const AGREES: f64 = 2.0;
+/// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
+const AGREES: f64 = 0.7;
 const FEWEST_SCATTER: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
 const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
@@ -95,6 +100,15 @@ pub(crate) struct Fitted {
     pub error: f64,
     /// G.
     pub gain: f64,
+    /// RMS of its effect on the readings, in µm; of scatter 0.
+    pub effect_um: f64,
+}
+
+impl Fitted {
+    /// Returns true if it is large enough to act on the estimate.
+    pub fn acts(&self) -> bool {
+        self.alternative == Alternative::Scatter || self.effect_um >= ACTS_UM
+    }
 }
 
 /// The best explanation of the readings from an instant on.
@@ -114,7 +128,6 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
     if rows.len() < FEWEST {
         return None;
     }
-    let count = rows.len() as f64;
     let Left { e, unknown_um, sigma } = left(rows, before);
     if !is_certain && most(&e, sigma) < CERTAIN {
         return None;
@@ -135,14 +148,8 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
             .collect();
         let Some(fitted) = fit(alternative, &e, &h, sigma) else { continue };
         fits.push(fitted);
-        let effect = fitted.size.abs() * (h.iter().map(|h| h * h).sum::<f64>() / count).sqrt();
-        let least = if alternative == Alternative::Zero {
-            smallest_step_um(before.scatter_um[0])
-        } else {
-            (MATERIAL * before.scatter_um[1]).max(MATERIAL_UM)
-        };
-        let least = least.max(KNOWN * unknown_um);
-        if is_certain || effect >= least {
+        let least = (MATERIAL * before.scatter_um[0]).max(KNOWN * unknown_um);
+        if is_certain || fitted.effect_um >= least {
             all.push((fitted, h));
         }
     }
@@ -188,7 +195,9 @@ fn left(rows: &[Row<'_>], before: &Before) -> Left {
     let unknown_um = (squares / rows.len() as f64).sqrt();
     let predicted = |row: &Row<'_>| row.g.iter().zip(&before.x).map(|(g, x)| g * x).sum::<f64>();
     let e = rows.iter().map(|row| row.y_um - predicted(row)).collect();
-    Left { e, unknown_um, sigma: before.scatter_um[1].hypot(unknown_um) }
+    let scatter_um = before.scatter_um[0];
+    let more = (unknown_um.powi(2) - (USUAL * scatter_um).powi(2)).max(0.0);
+    Left { e, unknown_um, sigma: scatter_um.hypot(more.sqrt()) }
 }
 
 /// Returns what explains all of `e`: no alternative gains more.
@@ -251,7 +260,9 @@ fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fit
         return None;
     }
     let known: f64 = e.iter().zip(h).map(|(e, h)| weight(e - size * h, sigma) * h * h).sum();
-    Some(Fitted { alternative, size, error: sigma / known.max(1e-12).sqrt(), gain })
+    let mean_square = h.iter().map(|h| h * h).sum::<f64>() / h.len() as f64;
+    let effect_um = size.abs() * mean_square.sqrt();
+    Some(Fitted { alternative, size, error: sigma / known.max(1e-12).sqrt(), gain, effect_um })
 }
 
 /// Fits a larger scatter about a level; `None` where it explains nothing.
@@ -267,7 +278,8 @@ fn scatter(e: &[f64], sigma: f64) -> Option<Fitted> {
     let all = SCATTERS.into_iter().map(|s| (s, gain(s)));
     let (size, gain) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
     let error = size / (2.0 * e.len() as f64).sqrt();
-    (gain > 0.0).then_some(Fitted { alternative: Alternative::Scatter, size, error, gain })
+    let alternative = Alternative::Scatter;
+    (gain > 0.0).then_some(Fitted { alternative, size, error, gain, effect_um: 0.0 })
 }
 
 /// Returns by how many standard errors the best explanation differs from the best by another.

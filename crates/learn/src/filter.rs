@@ -12,7 +12,7 @@
 //! x are shares of constants (and the zero, in µm). To forget by adding, and not by a factor, leaves what
 //! no reading has looked at where it was; its interval grows with its age up to what was believed before
 //! the first reading, and never beyond. R, the square of what a reading repeats to, is taken from the
-//! readings themselves by their median.
+//! readings themselves, where one in twenty is bad.
 //!
 //! Readings of one morning are off alike: the machine was homed a little elsewhere, it bends a little with the
 //! hall. To whom that is a constant follows every morning, and is wrong on the next. So w is kept beside
@@ -21,6 +21,8 @@
 //! One reading far from the rest is a chip or a drop of coolant. Four of six on the same side are a
 //! machine that has changed: a new bearing, a thermometer that sits elsewhere. Then all is as uncertain
 //! again as before the first reading, and these readings are taken after all.
+
+use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 use trueup_numerics::robust::median;
@@ -124,7 +126,7 @@ impl Filter {
         let g = with_wander(g);
         let s = self.unknown(&g) + self.noise_um.powi(2);
         let off_um = y_um - self.foresees(&g);
-        let good = (-0.5 * off_um * off_um / s).exp() / (std::f64::consts::TAU * s).sqrt();
+        let good = (-0.5 * off_um * off_um / s).exp() / (TAU * s).sqrt();
         (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
     }
 
@@ -134,10 +136,30 @@ impl Filter {
         if self.taken.len() < ENOUGH {
             return [self.noise_um, UNKNOWN_NOISE * self.noise_um];
         }
-        let mut all: Vec<f64> = self.taken.iter().map(|it| it[0]).collect();
-        let upper = 1.0 + 1.0 / (all.len() as f64).sqrt();
-        let um = (1.4826 * median(&mut all)).max(FINEST_UM);
+        let upper = 1.0 + 1.0 / (self.taken.len() as f64).sqrt();
+        let um = self.scale_um();
         [um, um * upper]
+    }
+
+    /// Returns the standard deviation of the good ones among the readings that were taken, in µm: of largest likelihood (EM) from
+    /// the median on. It is known twice as well as the median.
+    fn scale_um(&self) -> f64 {
+        const STEPS: usize = 4;
+        let off_um = || self.taken.iter().map(|it| it[0]);
+        // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
+        let mut um = (1.4826 * median(&mut off_um().collect::<Vec<_>>())).max(FINEST_UM);
+        for _ in 0..STEPS {
+            let (mut weights, mut squares) = (0.0, 0.0);
+            for off_um in off_um() {
+                let good = (-0.5 * (off_um / um).powi(2)).exp() / (TAU.sqrt() * um);
+                let good = (1.0 - BAD) * good;
+                let weight = good / (good + BAD / (2.0 * ANYTHING_UM));
+                weights += weight;
+                squares += weight * off_um * off_um;
+            }
+            um = (squares / weights).sqrt().max(FINEST_UM);
+        }
+        um
     }
 
     /// Returns the standard deviation of what the values that last predict at `g`, in µm.
@@ -276,13 +298,10 @@ impl Filter {
             self.taken.remove(0);
         }
         if self.taken.len() >= ENOUGH {
-            let middle = |index: usize| {
-                let mut all: Vec<f64> = self.taken.iter().map(|it| it[index]).collect();
-                median(&mut all)
-            };
-            // The median of the magnitude of normal noise is 1/1.4826 of its standard deviation.
-            let scatter = (1.4826 * middle(0)).powi(2);
-            self.noise_um = (scatter - middle(1)).max(scatter / 4.0).sqrt().max(FINEST_UM);
+            let mut unknown: Vec<f64> = self.taken.iter().map(|it| it[1]).collect();
+            let scatter = self.scale_um().powi(2);
+            let own = scatter - median(&mut unknown);
+            self.noise_um = own.max(scatter / 4.0).sqrt().max(FINEST_UM);
         }
     }
 

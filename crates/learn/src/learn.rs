@@ -13,7 +13,7 @@ use crate::{
     bank::ENOUGH,
     checks,
     constants::{self, Sensitivity},
-    event::Event,
+    event::{Event, clock},
     filter::Fate,
     limits::{Limits, times},
     memory::{Change, Kept, Memory, digits as hash_digits},
@@ -28,6 +28,10 @@ use crate::{
 /// A change of a constant by this share, from readings of an engaged bridge alone, may as well be a CNC that applies the
 /// offsets by half, twice, not at all or with the wrong sign: these look like changes by 0.5, −1, 1 and 2.
 const AS_A_CNC: f64 = 0.4;
+/// A clock that was set back by at most this, in s, may be local time.
+const HOUR_S: f64 = 3600.0;
+const SET_BACK: &str = ". If the clock was set back by an hour (the end of summer time), write each time with its offset \
+     (2026-10-25T02:30:00+01:00) or in UTC (2026-10-25T01:30:00Z)";
 /// Digits behind the point that are kept of a reading, in µm: a hundredth of what any probe repeats to.
 const FINEST_UM: f64 = 1e-4;
 
@@ -192,14 +196,16 @@ fn unseen(
         notes.push(format!("{known} of {all} readings were learned from before and are skipped"));
     }
     let Some(last_s) = memory.last_s else { return Ok((new, known)) };
-    let early = new.iter().find(|it| it.time_s.is_some_and(|time_s| time_s <= last_s));
-    if let Some(early) = early {
+    let early = new.iter().find_map(|it| Some((it, it.time_s.filter(|time_s| *time_s <= last_s)?)));
+    if let Some((early, early_s)) = early {
         // Clocks of two records that each begin with the record.
         if known > 0 || last_s >= FIRST_DAY_S {
             let rule = format!(
-                "{} is at or before the last reading that was learned from ({last_s}), and was not learned from: \
-                 give the records in the order in which they were taken",
-                early.time_s.unwrap_or(f64::NAN)
+                "{} is at or before the last reading that was learned from ({}), and was not learned from: \
+                 give the records in the order in which they were taken{}",
+                clock(early_s),
+                clock(last_s),
+                if last_s - early_s <= HOUR_S { SET_BACK } else { "" }
             );
             return Err(run.bad(early.row, "time_s", rule));
         }
@@ -335,11 +341,12 @@ impl Learner<'_> {
         if taken.used {
             let missed_um =
                 replay::level(memory, &memory.window[last], sequence, None) - times(g, &lasting);
-            let said = wear::said(&memory.constants, g, &lasting, missed_um, scatter_um);
+            let before = &memory.window[..last];
+            let said = wear::said(&memory.constants, before, g, &lasting, missed_um, scatter_um);
             memory.window[last].worn = said.iter().map(short).collect();
         }
         watch(memory, &mut self.believed);
-        wear::watch(memory, self.believed.bank.scatter_um()[0]);
+        wear::watch(memory, self.believed.bank.scatter_um()[1]);
         let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
         self.look(reading.row);
         let rows = self.extremes.iter().map(|row| &self.sensitivity.um[*row]);

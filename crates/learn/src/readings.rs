@@ -7,6 +7,9 @@ use crate::memory::hash;
 /// From the end of one record to the beginning of the next where the clock begins anew, in s: a day.
 const NEW_RECORD_S: f64 = 86_400.0;
 
+/// A clock from here on is seconds of Unix, of the year 2001 or later.
+const UNIX_S: f64 = 1e9;
+
 /// One reading.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reading {
@@ -49,6 +52,9 @@ pub(crate) fn of(run: &RunFile, quantity: Quantity) -> Result<Vec<Reading>, BadI
         })
         .map(|(row, um, check_um)| {
             let time_s = times.map(|times| times[row]).filter(|time_s| time_s.is_finite());
+            // Dates keep the time between records; to a millisecond, as clocks are.
+            let date_s = |time_s: f64, epoch_s: f64| ((epoch_s + time_s) * 1e3).round() / 1e3;
+            let time_s = time_s.map(|s| run.epoch_s().map_or(s, |epoch_s| date_s(s, epoch_s)));
             let identity_before = whole(row, time_s);
             let identity = match time_s {
                 Some(time_s) => {
@@ -74,6 +80,8 @@ pub(crate) const FIRST_DAY_S: f64 = 86_400.0;
 /// Returns the time between two readings, in s; a clock that runs back is another day's.
 pub(crate) fn between_s(before_s: Option<f64>, now_s: Option<f64>) -> f64 {
     match (before_s, now_s) {
+        // Records with dates after records without.
+        (Some(before_s), Some(now_s)) if before_s < UNIX_S && now_s >= UNIX_S => NEW_RECORD_S,
         (Some(before_s), Some(now_s)) if now_s >= before_s => now_s - before_s,
         (None, Some(_)) => 0.0,
         _ => NEW_RECORD_S,

@@ -125,8 +125,9 @@ fn described(memory: &Memory, finding: &Finding, index: usize, scatter_um: f64) 
     let is_named = kinds.len() == 1;
     let alternatives = if is_named { Vec::new() } else { kinds };
     let smallest = if is_named { 1.0 } else { UNNAMED } * smallest_step_um(scatter_um);
-    let acting = match action(memory, acting, finding) {
+    let does = match action(memory, acting, finding) {
         Action::Zero(um) if um.abs() < smallest => Action::Nothing,
+        _ if !acting.acts() => Action::Nothing,
         other => other,
     };
     let event = if is_named { event } else { EventKind::Unknown };
@@ -151,7 +152,7 @@ fn described(memory: &Memory, finding: &Finding, index: usize, scatter_um: f64) 
         check: Event::advice(event, &alternatives),
         alternatives,
         sequence: memory.first + index as u64,
-        action: acting,
+        action: does,
         is_open: true,
     }
 }

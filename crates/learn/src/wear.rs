@@ -1,10 +1,12 @@
 //! Backlashes that grow slowly: a straight line over all readings since the width was last another one.
 //!
 //! ```text
-//! r = g·x + e             what a reading in the negative direction says of the width, as a share of it; e what the prediction
-//!                         before it missed, held to two scatters
+//! r = g·x + e − ē          what a reading in the negative direction says of the width, as a share of it; e what the prediction
+//!                         before it missed, held to two scatters; ē the mean of e of the last readings in the positive one
 //! r = g·(s₀ + s·t) + ε    least squares; s₀ is 0 where that agrees with the readings: the file was right when they began
 //! ```
+//!
+//! What lags behind in the other constants (a season after a thermometer was moved) misses both directions alike: ē takes it off.
 //!
 //! A line over all readings knows the growth far better than the estimate of today less that of the first weeks: that
 //! forgets, and lags behind. It is wear when s differs from 0 by [`CERTAIN`] standard errors.
@@ -12,7 +14,7 @@
 use crate::{
     constants::Constant,
     event::{Action, Event, EventKind, digits},
-    memory::Memory,
+    memory::{Kept, Memory},
     worn::{CERTAIN, Sums},
 };
 
@@ -20,6 +22,8 @@ use crate::{
 const SHORTEST_S: f64 = 30.0 * 86_400.0;
 /// Scatters by which one reading counts at most.
 const COUNTS: f64 = 2.0;
+/// Readings in the positive direction that say what misses both alike: ten days of two a day. Fewer add more noise than they take off.
+const OTHERS: usize = 10;
 /// The unit of t, in s.
 const YEAR_S: f64 = 365.25 * 86_400.0;
 
@@ -28,10 +32,11 @@ pub(crate) fn wears(constant: &Constant) -> bool {
     constant.key.ends_with("backlash.width_um")
 }
 
-/// Returns what a reading says of each backlash, in µm: its sensitivities, what is believed before it, what that misses, and the
-/// scatter of a reading.
+/// Returns what a reading says of each backlash, in µm: the readings before it, its sensitivities, what is believed before it, what
+/// that misses, and the scatter of a reading.
 pub(crate) fn said(
     constants: &[Constant],
+    before: &[Kept],
     g: &[f64],
     believed: &[f64],
     missed_um: f64,
@@ -39,7 +44,19 @@ pub(crate) fn said(
 ) -> Vec<f64> {
     let held_um = missed_um.clamp(-COUNTS * scatter_um, COUNTS * scatter_um);
     let worn = constants.iter().enumerate().filter(|(_, it)| wears(it));
-    worn.map(|(index, _)| g[index + 1] * believed[index + 1] + held_um).collect()
+    worn.enumerate()
+        .map(|(number, (index, _))| {
+            let width_um = g[index + 1];
+            if width_um == 0.0 {
+                return held_um;
+            }
+            let others = before.iter().rev().filter(|kept| kept.g[index + 1] == 0.0);
+            let others = others.filter_map(|kept| kept.worn.get(number)).take(OTHERS);
+            let (sum, count) = others.fold((0.0, 0), |(sum, count), um| (sum + um, count + 1));
+            let alike_um = if count == OTHERS { sum / OTHERS as f64 } else { 0.0 };
+            width_um * believed[index + 1] + held_um - alike_um
+        })
+        .collect()
 }
 
 /// Takes the window's first reading into the sums: it leaves the window.
@@ -76,7 +93,8 @@ fn add(memory: &Memory, rows: std::ops::Range<usize>, worn: &mut Vec<Sums>) {
     }
 }
 
-/// Looks at the backlashes after the window's last reading; `scatter_um` of a reading.
+/// Looks at the backlashes after the window's last reading; `scatter_um` of a reading, at the upper end of what it may be.
+/// A wear whose interval no longer excludes zero is taken back.
 pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
     let Some(t_s) = memory.first_s.zip(memory.last_s).map(|(first, last)| last - first) else {
         return;
@@ -100,6 +118,10 @@ pub(crate) fn watch(memory: &mut Memory, scatter_um: f64) {
         let [size, half] =
             [slope * width_um, 1.96 * (error * width_um).abs()].map(|it| it * t_s / YEAR_S);
         let [size, low, high] = [size, size - half, size + half].map(digits);
+        if let Some(place) = known.filter(|_| slope.abs() <= 1.96 * error) {
+            memory.events.remove(place);
+            continue;
+        }
         if let Some(place) = known {
             let event = &mut memory.events[place];
             (event.size, event.ci95) = (size, [low, high]);

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Standard errors of the slope: once in 10⁶ by chance.
-pub(crate) const CERTAIN: f64 = 5.0;
+/// Standard errors of the slope, looked at after each reading of years: once in 10⁸ by chance for each.
+pub(crate) const CERTAIN: f64 = 6.0;
 /// Standard errors from which s₀ is another one: as alternatives are distinguished.
 const AGREES: f64 = 4.0;
 /// Readings in the negative direction that a line needs: a month of two a day.

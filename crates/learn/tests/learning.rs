@@ -204,6 +204,40 @@ fn a_cnc_that_applies_the_offset_otherwise_teaches_nothing() {
 }
 
 #[test]
+fn dates_keep_the_time_between_day_files() {
+    // Three days of readings each four hours, and three more a week later: as dates and as seconds of Unix.
+    const MONDAY_S: usize = 1_767_571_200;
+    let file = |day: usize, is_date: bool| {
+        let mut text = "time,temp_a_c,measured_elongation_um\n".to_string();
+        for n in 0..6 {
+            let clock = match is_date {
+                true => format!("2026-01-{:02}T{:02}:00:00Z", day + 5, 4 * n),
+                false => (MONDAY_S + 86_400 * day + 14_400 * n).to_string(),
+            };
+            let celsius = 25.0 + 10.0 * ((n % 7) as f64) / 6.0;
+            text += &format!("{clock},{celsius:.3},{:.3}\n", grown(celsius, n));
+        }
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
+    };
+    let states = [true, false].map(|is_date| {
+        let mut memory = None;
+        for day in [0, 1, 2, 9, 10, 11] {
+            let run = file(day, is_date);
+            memory = Some(taught(&run, memory.take(), &Limits::default()).memory);
+        }
+        memory.expect("six days").write().expect("JSON")
+    });
+    assert_eq!(states[0], states[1]);
+    // A clock that was set back says what to write.
+    let memory = Memory::read(&states[0]).expect("what was written");
+    let text = "time,temp_a_c,measured_elongation_um\n2026-01-16 19:10:00,25,10\n";
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    let early = learn(MACHINE, Path::new("m.toml"), &run, None, Some(memory), &Limits::default());
+    let rule = early.expect_err("it is before the last one").rule;
+    assert!(rule.contains("2026-01-16 19:10 UTC") && rule.contains("+01:00"), "{rule}");
+}
+
+#[test]
 fn a_state_of_the_form_before_is_read_and_its_readings_are_known() {
     let first = taught(&record(0.0, 60, grown), None, &Limits::default());
     let state: serde_json::Value =

@@ -66,7 +66,7 @@ fn judged(ageing: Range<u64>, healthy: Range<u64>) -> Judged {
             let [file_um, own_um] = lived(seed, ages);
             let what = if ages { "ageing" } else { "without a fault" };
             println!(
-                "seed {seed:4}, {what}: {file_um:5.2} -> {own_um:4.2} um ({:.3} times)",
+                "seed {seed:4}, {what}: {file_um:5.2} -> {own_um:4.2} µm ({:.3} times)",
                 own_um / file_um
             );
             [file_um, own_um]
@@ -82,7 +82,7 @@ fn judged(ageing: Range<u64>, healthy: Range<u64>) -> Judged {
     let harm = healthy.iter().map(|month| month[1] / month[0]).fold(0.0, f64::max);
     let file_um = rms(&ageing, 0);
     println!(
-        "{} ageing: {file_um:.2} -> {:.2} um, in the worst month {worst_um:.2}; {} without a fault: {:.2} -> {:.2} um, \
+        "{} ageing: {file_um:.2} -> {:.2} µm, in the worst month {worst_um:.2}; {} without a fault: {:.2} -> {:.2} µm, \
          in the worst month {harm:.3} times what the file as it is leaves",
         ageing.len(),
         rms(&ageing, 1),

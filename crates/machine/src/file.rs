@@ -113,7 +113,12 @@ impl MachineFile {
                 .0
                 .extend(read.iter().map(|(term, section)| (term, section)).filter_map(misplaced));
         }
-        let terms = read.into_iter().map(|(term, _)| term).collect();
+        let mut terms: Vec<Term> = read.into_iter().map(|(term, _)| term).collect();
+        for term in &mut terms {
+            if let (Effect::Dependence(it), Some(tools)) = (&mut term.effect, &spindle.tools) {
+                it.number_labels(tools);
+            }
+        }
         if let Some(error) = BadInput::gathered(faults.0) {
             return Err(error);
         }

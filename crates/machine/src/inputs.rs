@@ -15,6 +15,7 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
+    calibration::Mains,
     health::{HIGH_RAIL, LOW_RAIL},
     thermometer::Thermometer,
     units::{Code, READINGS_PER_CODE, Reading, Temperature},
@@ -37,6 +38,8 @@ pub struct Inputs {
     pub conditions: BTreeMap<String, ConditionInput>,
     /// The board is written to only with its service switch closed.
     pub service_switch: bool,
+    /// The mains whose hum the temperature inputs suppress.
+    pub mains: Mains,
 }
 
 /// How a condition comes in: as a bit of the CNC's `Conditions`.

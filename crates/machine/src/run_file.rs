@@ -21,6 +21,7 @@ mod order;
 mod places;
 mod plain;
 mod reading;
+mod recorded;
 mod table;
 mod tools;
 
@@ -51,6 +52,7 @@ pub struct RunFile {
     line_of_row: Vec<u32>,
     slips: Vec<Slip>,
     labels: Vec<(f64, String)>,
+    epoch_s: Option<f64>,
 }
 
 impl RunFile {
@@ -89,9 +91,10 @@ impl RunFile {
     }
 
     fn within(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        let Table { columns, header_line, line_of_row, slips, labels } =
+        let Table { columns, header_line, line_of_row, slips, labels, epoch_s } =
             reading::read(bounds, source, path)?;
-        Ok(Self { path: path.to_path_buf(), columns, header_line, line_of_row, slips, labels })
+        let path = path.to_path_buf();
+        Ok(Self { path, columns, header_line, line_of_row, slips, labels, epoch_s })
     }
 
     /// The path under which the run was read.
@@ -104,6 +107,13 @@ impl RunFile {
     #[must_use]
     pub fn rows(&self) -> usize {
         self.line_of_row.len()
+    }
+
+    /// Returns the instant from which `time_s` counts, in s from 1970, where the file has dates: it keeps the time between
+    /// files. Dates without a time zone count as UTC.
+    #[must_use]
+    pub fn epoch_s(&self) -> Option<f64> {
+        self.epoch_s
     }
 
     /// All columns, in the order of the file.
@@ -203,6 +213,7 @@ impl RunFile {
             line_of_row: self.line_of_row[..rows].to_vec(),
             slips: self.slips.clone(),
             labels: self.labels.clone(),
+            epoch_s: self.epoch_s,
         }
     }
 

@@ -100,6 +100,31 @@ fn elongations_or_none(machine: &Machine, run: &RunFile) -> f64 {
     row.model.elongation_um
 }
 
+/// A term that was found before its label had a number holds for that tool once it has one, and runs on the board.
+#[test]
+fn a_level_of_a_label_is_that_of_its_number_once_it_has_one() {
+    use trueup_machine::tool::label_code;
+    let text = |tool: &str| {
+        format!(
+            "[spindle.tools]\nprobe = {{ {tool}um_per_krpm2 = 0.0 }}\ndefault = {{ um_per_krpm2 = 0.0 }}\n\
+             [[term]]\ncause = \"dependence\"\nquantity = \"elongation\"\ncolumn = \"tool\"\nform = \"level\"\n\
+             times = \"speed2\"\nlevels = [{:?}, 2.0]\nlevel_um_per_krpm2 = [0.02, 0.01]\n",
+            label_code("probe")
+        )
+    };
+    let read = run("spindle_rpm,tool\n20000,probe\n20000,2\n20000,9\n");
+    let without = machine(&text(""));
+    let grown: Vec<f64> = Predictor::new(&without, &read)
+        .expect("to predict, the label is enough")
+        .rows()
+        .map(|row| row.model.elongation_um)
+        .collect();
+    assert!((grown[0] - 8.0).abs() < 1e-9 && (grown[1] - 4.0).abs() < 1e-9, "{grown:?}");
+    let with = machine(&text("number = 7, "));
+    let read = read.with_tool_numbers(&with).expect("all are listed");
+    assert_eq!(elongations_um(&with, &read), grown);
+}
+
 #[test]
 fn a_condition_that_is_not_declared_is_asked_for_by_its_line() {
     let undeclared =

@@ -349,6 +349,7 @@ head_axes = ["c", "a"]
 tool_direction = [0.0, 0.0, -1.0]
 
 [inputs]
+mains_hz = 60
 sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }
 temp_screw_c = { channel = 0, kind = "pt100" }
 temp_front_c = { channel = 1, kind = "linear", zero_counts = 4000, counts_per_c = 16, max_c_per_min = 0.1 }

@@ -16,6 +16,8 @@
 //!      └── no answer, or a cable is broken ─┴───────────────┘
 //! ```
 //!
+//! The filter suppresses the hum of the mains, of 50 Hz or of 60 Hz: bit 0 of the configuration.
+//!
 //! Each arrow is one turn; a turn must come no sooner than [`TURN_MS`] after the last one, which is
 //! longer than the 66 ms of a first conversion with the 50 Hz filter and than the cable check's
 //! 0.6 ms. Whether a converter answers is seen from its configuration and thresholds, which are
@@ -38,6 +40,7 @@ extern crate std;
 
 use embedded_hal::spi::SpiDevice;
 use trueup_core::{
+    calibration::Mains,
     pt100::{OPEN_ABOVE, SHORT_BELOW},
     thermometer::Raw,
     units::MicroOhms,
@@ -60,8 +63,10 @@ const REGISTERS: usize = 8;
 /// The first register of the thresholds.
 const THRESHOLDS: u8 = 0x03;
 
-/// Bias on, 3-wire, 50 Hz; nothing else runs.
-const READY: u8 = 0b1001_0001;
+/// Bias on, 3-wire; nothing else runs.
+const READY: u8 = 0b1001_0000;
+/// With it in the configuration, the filter suppresses 50 Hz, without it 60 Hz.
+const FILTER_50_HZ: u8 = 0b0000_0001;
 /// With it in the configuration, the latched faults are cleared.
 const CLEAR: u8 = 0b0000_0010;
 /// With it in the configuration, the cables are checked once; the converter takes it back then.
@@ -153,9 +158,16 @@ enum Step {
 pub struct Converter {
     step: Step,
     reading: Reading,
+    mains: Mains,
 }
 
 impl Converter {
+    /// Returns a converter that was not spoken to, and is to suppress the hum of these mains.
+    #[must_use]
+    pub fn new(mains: Mains) -> Self {
+        Self { mains, ..Self::default() }
+    }
+
     /// What it said last.
     #[must_use]
     pub fn reading(&self) -> Reading {
@@ -167,7 +179,8 @@ impl Converter {
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
     pub fn turn(&mut self, spi: &mut impl SpiDevice) -> Reading {
         let mut transfer = |bytes: &mut [u8]| spi.transfer_in_place(bytes).is_ok();
-        let mut configure = |bits: u8| transfer(&mut [WRITE, READY | bits]);
+        let ready = READY | if self.mains == Mains::Hz50 { FILTER_50_HZ } else { 0 };
+        let mut configure = |bits: u8| transfer(&mut [WRITE, ready | bits]);
         self.step = match self.step {
             Step::Clear => {
                 let [a, b, c, d] = LIMITS;
@@ -178,9 +191,9 @@ impl Converter {
                 true => Step::EndCheck,
                 false => self.fail(Reading::Missing),
             },
-            Step::EndCheck => match Registers::read(READY, &mut transfer) {
+            Step::EndCheck => match Registers::read(ready, &mut transfer) {
                 Err(failure) => self.fail(failure),
-                Ok(_) if transfer(&mut [WRITE, READY | AUTOMATIC]) => Step::Settle,
+                Ok(_) if transfer(&mut [WRITE, ready | AUTOMATIC]) => Step::Settle,
                 Ok(_) => self.fail(Reading::Missing),
             },
             Step::Settle => {
@@ -189,7 +202,7 @@ impl Converter {
                 }
                 Step::Read { left: CHECK_TURNS }
             }
-            Step::Read { left } => match Registers::read(READY | AUTOMATIC, &mut transfer) {
+            Step::Read { left } => match Registers::read(ready | AUTOMATIC, &mut transfer) {
                 Err(failure) => self.fail(failure),
                 Ok(registers) => {
                     self.reading = Reading::Good(registers.resistance());

@@ -124,8 +124,42 @@ fn the_data_sheets_examples_are_met() {
     assert_eq!(at(0x80, 0x00), MicroOhms(215_000_000));
     assert_eq!(at(0x20, 0x01), MicroOhms(53_750_000));
     assert_eq!(at(0xFF, 0xFE), MicroOhms(429_986_877));
-    // Written out: bias, 3-wire, 50 Hz; the check is 100X010X.
-    assert_eq!([READY | CLEAR, READY | CHECK, READY | AUTOMATIC], [0x93, 0x95, 0xD1]);
+}
+
+#[test]
+fn the_filter_is_that_of_the_mains_in_every_configuration_that_is_written() {
+    // Written out: bias, 3-wire, the filter in bit 0; the check is 100X010X.
+    for (mains, written) in [(Mains::Hz50, [0x93, 0x95, 0xD1]), (Mains::Hz60, [0x92, 0x94, 0xD0])] {
+        let (mut converter, mut chip) = (Converter::new(mains), Chip::new(PLAIN));
+        let mut all = Vec::new();
+        for _ in 0..3 * (CHECK_TURNS + 5) {
+            chip.live();
+            let mut spi = Recorder { chip: &mut chip, written: &mut all };
+            converter.turn(&mut spi);
+        }
+        let Reading::Good(_) = converter.reading() else { panic!("{:?}", converter.reading()) };
+        assert_eq!(all[..3], written);
+        assert!(all.iter().all(|bits| written.contains(bits)), "{all:02x?}");
+    }
+}
+
+/// A converter, and what is written to its configuration.
+struct Recorder<'a> {
+    chip: &'a mut Chip,
+    written: &'a mut Vec<u8>,
+}
+
+impl ErrorType for Recorder<'_> {
+    type Error = Infallible;
+}
+
+impl SpiDevice for Recorder<'_> {
+    fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Infallible> {
+        if let [Operation::TransferInPlace([WRITE, bits])] = operations {
+            self.written.push(*bits);
+        }
+        self.chip.transaction(operations)
+    }
 }
 
 #[test]
@@ -151,7 +185,8 @@ fn the_reading_stands_while_the_cables_are_checked() {
     for _ in 0..3 * (CHECK_TURNS + 4) {
         let was = chip.registers[0];
         good(turn(&mut converter, &mut chip));
-        checks += u32::from(was == READY && chip.registers[0] == (READY | AUTOMATIC));
+        let ready = READY | FILTER_50_HZ;
+        checks += u32::from(was == ready && chip.registers[0] == (ready | AUTOMATIC));
     }
     assert_eq!(checks, 3);
 }

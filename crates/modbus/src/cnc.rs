@@ -1,9 +1,14 @@
 //! The holding block: what the control says, from registers, with the checks of a frame on CAN.
+//!
+//! ```text
+//! register  0 … 16   the block that every control writes
+//!          17 … 19   behind it tool and conditions, with a CRC over all 20: they count if `Present` says so
+//! ```
 
 use core::{error::Error, fmt};
 
 use trueup_core::{
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{e2e::MAX_DELTA, layout::MICRO_DEGREES_PER_BIT};
@@ -11,18 +16,40 @@ use trueup_link::{e2e::MAX_DELTA, layout::MICRO_DEGREES_PER_BIT};
 use crate::{
     protect::{get, get_long, is_whole, put, put_long, seal},
     table::{
-        ANGLE_1, ANGLE_2, CNC_COUNTER, CONTROL, DIRECTIONS, HOLDING_DATA_ID, HOLDING_LEN, LOAD,
-        POSITION_X, POSITION_Y, POSITION_Z, PRESENT, SPEED,
+        ANGLE_1, ANGLE_2, CNC_COUNTER, CONDITION_BITS, CONDITIONS_DATA_ID, CONTROL, DIRECTIONS,
+        HOLDING_DATA_ID, HOLDING_LEN, LOAD, POSITION_X, POSITION_Y, POSITION_Z, PRESENT, SPEED,
+        TOOL, WHOLE_HOLDING_LEN,
     },
 };
 
-/// The block as it stands in the registers.
-pub type Registers = [u16; HOLDING_LEN];
+/// The block as it stands in the registers; zeros where a control has written the first 17 alone.
+pub type Registers = [u16; WHOLE_HOLDING_LEN];
 
 const ROTARY: u16 = 1 << 3;
 const SPINDLE: u16 = 1 << 4;
-/// Bits of `Control` and of `Present` that have a meaning.
-const KNOWN: u16 = 0x1F;
+const CONDITIONS: u16 = 1 << 5;
+/// Bits that have a meaning.
+const KNOWN_CONTROL: u16 = 0x1F;
+const KNOWN_PRESENT: u16 = 0x3F;
+
+/// Returns whether both CRCs are right, that of tool and conditions where `Present` says that they are meant.
+#[must_use]
+pub fn is_sound(block: &Registers) -> bool {
+    let has_conditions = get(block, PRESENT) & CONDITIONS != 0;
+    let first = block.first_chunk::<HOLDING_LEN>();
+    first.is_some_and(|first| is_whole(first, HOLDING_DATA_ID))
+        && (!has_conditions || is_whole(block, CONDITIONS_DATA_ID))
+}
+
+/// Returns the registers of a block that a control has to write: all of them, or the first 17.
+#[must_use]
+pub fn written(block: &Registers) -> &[u16] {
+    let has_conditions = get(block, PRESENT) & CONDITIONS != 0;
+    match block.first_chunk::<HOLDING_LEN>() {
+        Some(first) if !has_conditions => first,
+        _ => block,
+    }
+}
 
 /// What the control says in one block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -35,13 +62,15 @@ pub struct Cnc {
     pub rotary: Option<Rotary>,
     /// What the spindle does.
     pub spindle: Option<Spindle>,
+    /// The tool and the conditions; `None`: the control does not say.
+    pub conditions: Option<Conditions>,
 }
 
 impl Cnc {
     /// The registers, as a PLC has to make them.
     #[must_use]
     pub fn encode(&self, counter: u16) -> Registers {
-        let mut block = [0; HOLDING_LEN];
+        let mut block = [0; WHOLE_HOLDING_LEN];
         // What was learned is a matter of frames: a PLC loads a new calibration, at rest.
         let Control { engage, referenced, zero, service, confirm, learned: _ } = self.control;
         let flags = [engage, referenced, zero, service, confirm];
@@ -49,7 +78,9 @@ impl Cnc {
             flags.iter().rev().fold(0_u16, |bits, flag| bits << 1 | u16::from(*flag))
         };
         let [x, y, z] = self.positions.map(|position| position.is_some());
-        let present = [x, y, z, self.rotary.is_some(), self.spindle.is_some()];
+        let others = [self.rotary.is_some(), self.spindle.is_some(), self.conditions.is_some()];
+        let [rotary, spindle, conditions] = others;
+        let present = [x, y, z, rotary, spindle, conditions];
         put(&mut block, CNC_COUNTER, counter);
         put(&mut block, CONTROL, bits(&flags));
         put(&mut block, PRESENT, bits(&present));
@@ -74,7 +105,14 @@ impl Cnc {
             put(&mut block, SPEED, speed.0);
             put(&mut block, LOAD, load_n.cast_unsigned());
         }
-        seal(&mut block, HOLDING_DATA_ID);
+        if let Some(first) = block.first_chunk_mut::<HOLDING_LEN>() {
+            seal(first, HOLDING_DATA_ID);
+        }
+        if let Some(Conditions { tool, bits }) = self.conditions {
+            put(&mut block, TOOL, tool);
+            put(&mut block, CONDITION_BITS, bits);
+            seal(&mut block, CONDITIONS_DATA_ID);
+        }
         block
     }
 
@@ -85,7 +123,8 @@ impl Cnc {
     fn decode(block: &Registers) -> Option<Self> {
         let (control, present) = (get(block, CONTROL), get(block, PRESENT));
         let directions = get(block, DIRECTIONS);
-        if (control | present) & !KNOWN != 0 || directions & !0x3F != 0 {
+        let has_unknown = control & !KNOWN_CONTROL | present & !KNOWN_PRESENT;
+        if has_unknown != 0 || directions & !0x3F != 0 {
             return None;
         }
         let bit = |n: u16| control & 1 << n != 0;
@@ -109,6 +148,7 @@ impl Cnc {
         };
         let spindle =
             Spindle { speed: Rpm(get(block, SPEED)), load_n: get(block, LOAD).cast_signed() };
+        let conditions = Conditions { tool: get(block, TOOL), bits: get(block, CONDITION_BITS) };
         Some(Self {
             control: Control {
                 engage: bit(0),
@@ -121,6 +161,7 @@ impl Cnc {
             positions,
             rotary,
             spindle: (present & SPINDLE != 0).then_some(spindle),
+            conditions: (present & CONDITIONS != 0).then_some(conditions),
         })
     }
 }
@@ -164,7 +205,7 @@ impl Checker {
     /// # Errors
     /// The block must not be used. After [`Refused::WrongSequence`] the next in order is taken.
     pub fn accept(&mut self, block: &Registers) -> Result<Cnc, Refused> {
-        if !is_whole(block, HOLDING_DATA_ID) {
+        if !is_sound(block) {
             return Err(Refused::Damaged);
         }
         let counter = get(block, CNC_COUNTER);
@@ -196,7 +237,39 @@ mod tests {
             ],
             rotary: Some(Rotary { angles: [30_000_000, -500].map(MicroDegrees) }),
             spindle: Some(Spindle { speed: Rpm(24_000), load_n: -1 }),
+            conditions: None,
         }
+    }
+
+    fn with_tool(tool: u16, bits: u16) -> Cnc {
+        Cnc { conditions: Some(Conditions { tool, bits }), ..said() }
+    }
+
+    #[test]
+    fn tool_and_conditions_stand_behind_the_block_with_a_crc_over_all() {
+        let block = with_tool(17, 0x8002).encode(7);
+        assert_eq!((block[2], block[17], block[18]), (0b11_1101, 17, 0x8002));
+        assert_eq!(block[3..16], said().encode(7)[3..16]);
+        let crc = |covered: &[u16], id| crate::protect::crc(covered, id);
+        assert_eq!([block[16], block[19]], [crc(&block[..16], 0x302), crc(&block[..19], 0x402)]);
+        assert_eq!(Checker::default().accept(&block), Ok(with_tool(17, 0x8002)));
+        assert_eq!((written(&block).len(), written(&said().encode(7)).len()), (20, 17));
+    }
+
+    #[test]
+    fn half_old_tool_and_conditions_are_refused_and_those_that_are_not_meant_are_not_looked_at() {
+        let mut block = with_tool(17, 2).encode(8);
+        for (place, old) in [(17, 3), (18, 0), (19, 0), (14, 0), (0, 7)] {
+            let before = std::mem::replace(&mut block[place], old);
+            assert_eq!(Checker::default().accept(&block), Err(Refused::Damaged), "{place}");
+            block[place] = before;
+        }
+        // A block of before, of 17 registers, with a bit of `Present` that meant nothing then.
+        block[17..].fill(0);
+        assert_eq!(Checker::default().accept(&block), Err(Refused::Damaged));
+        let mut block = said().encode(8);
+        block[17..].fill(0xABCD);
+        assert_eq!(Checker::default().accept(&block), Ok(said()));
     }
 
     #[test]
@@ -231,7 +304,7 @@ mod tests {
     fn what_has_no_meaning_is_refused_whole() {
         for (place, value) in [
             (CONTROL, 1 << 5),
-            (PRESENT, 1 << 5),
+            (PRESENT, 1 << 6),
             (DIRECTIONS, 2),
             (DIRECTIONS, 1 << 6),
             (ANGLE_1, 0x7FFF),
@@ -239,7 +312,7 @@ mod tests {
             let mut block = said().encode(1);
             block[place] = value;
             assert_eq!(Checker::default().accept(&block), Err(Refused::Damaged));
-            seal(&mut block, HOLDING_DATA_ID);
+            seal(&mut block[..HOLDING_LEN], HOLDING_DATA_ID);
             assert_eq!(Checker::default().accept(&block), Err(Refused::Malformed), "{place}");
         }
     }

@@ -25,8 +25,8 @@ pub fn crc(registers: &[u16], data_id: u16) -> u16 {
 }
 
 /// Puts the CRC into the last register of a block.
-pub fn seal<const N: usize>(block: &mut [u16; N], data_id: u16) {
-    if let [covered @ .., place] = &mut block[..] {
+pub fn seal(block: &mut [u16], data_id: u16) {
+    if let [covered @ .., place] = block {
         *place = crc(covered, data_id);
     }
 }

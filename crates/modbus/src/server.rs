@@ -4,7 +4,7 @@
 //! |---|---|
 //! | 4 read input registers | any part of the input block, out of one snapshot |
 //! | 3 read holding registers | any part of the holding block that was last taken |
-//! | 16 write multiple registers | the whole holding block, at address 0 |
+//! | 16 write multiple registers | the whole holding block, at address 0: 17 registers, or 20 with tool and conditions |
 //! | every other | exception 01 |
 //!
 //! | exception | when |
@@ -33,7 +33,7 @@ use rmodbus::{
 
 use crate::{
     cnc, input,
-    table::{HOLDING_LEN, WORD_ORDER, WORD_ORDER_ADDRESS},
+    table::{HOLDING_LEN, WHOLE_HOLDING_LEN, WORD_ORDER, WORD_ORDER_ADDRESS},
 };
 
 /// The largest frame: 253 bytes of a request, the header of TCP before them.
@@ -208,10 +208,11 @@ fn answered(
         let Write::Words(words) = frame.get_external_write().map_err(odd)? else {
             return Err(Exception::Function);
         };
-        if words.address != 0 || usize::from(words.count) != HOLDING_LEN {
+        let is_whole = [HOLDING_LEN, WHOLE_HOLDING_LEN].contains(&words.count.into());
+        if words.address != 0 || !is_whole {
             return Err(Exception::Address);
         }
-        let mut block = [0; HOLDING_LEN];
+        let mut block = [0; WHOLE_HOLDING_LEN];
         let (pairs, _) = words.data.as_chunks::<2>();
         for (place, word) in block.iter_mut().zip(pairs) {
             *place = u16::from_be_bytes(*word);

@@ -60,6 +60,8 @@ pub const LAYOUT_NUMBER: u16 = 1;
 pub const INPUT_DATA_ID: u16 = trueup_link::layout::OFFSET_XY_ID;
 /// The data ID of the holding block: the CAN identifier of `Control`.
 pub const HOLDING_DATA_ID: u16 = trueup_link::layout::CONTROL_ID;
+/// The data ID of the holding block with tool and conditions: the CAN identifier of `Conditions`.
+pub const CONDITIONS_DATA_ID: u16 = trueup_link::layout::CONDITIONS_ID;
 /// The offset and the elongation that mean "not available".
 pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// The temperature that means "not available".
@@ -77,7 +79,7 @@ macro_rules! block {
         pub const $all: &[Register] = &[
             $(Register { address: $address, form: Form::$form, name: $name, unit: $unit, text: $text },)*
         ];
-        /// Registers of that block, its CRC included.
+        /// Registers up to the end of that block, its CRC included.
         pub const $len: usize = end($all);
     };
 }
@@ -120,7 +122,7 @@ block! {
     HOLDING, HOLDING_LEN:
     CNC_COUNTER 0 Unsigned "Counter" "" "One more with each block, 65535 is followed by 0. Steps of 1 to 15 are taken.";
     CONTROL 1 Unsigned "Control" "" "Bit 0 Engage, 1 Referenced, 2 Zero, 3 Service, 4 Confirm. The control's sign of life: without a new block for the link timeout the bridge holds, then ramps out.";
-    PRESENT 2 Unsigned "Present" "" "Which of the values below are meant: bit 0 X, 1 Y, 2 Z, 3 both angles, 4 speed and load. The others are not sent to the bridge, which then knows that it does not know.";
+    PRESENT 2 Unsigned "Present" "" "Which of the values below are meant: bit 0 X, 1 Y, 2 Z, 3 both angles, 4 speed and load, 5 tool and conditions (in a block of 20 registers). The others are not sent to the bridge, which then knows that it does not know.";
     DIRECTIONS 3 Unsigned "Directions" "" "Which way each axis came: bits 0 and 1 X, 2 and 3 Y, 4 and 5 Z; 0 standing, 1 positive, 3 negative.";
     POSITION_X 4 Long "PositionX" "0.00001 mm" "Commanded machine position of X without the external offset.";
     POSITION_Y 6 Long "PositionY" "0.00001 mm" "The same of Y.";
@@ -132,15 +134,23 @@ block! {
     HOLDING_CRC 16 Unsigned "Crc" "" "CRC over the registers before it and the data ID 0x0302.";
 }
 
+block! {
+    /// Holding registers behind these, for a control that says tool and conditions: all 20 are written in one request.
+    CONDITIONS, WHOLE_HOLDING_LEN:
+    TOOL 17 Unsigned "Tool" "" "Number of the tool in the spindle; 0: none.";
+    CONDITION_BITS 18 Unsigned "Conditions" "" "Bit n: whether the condition with `bit = n` in the machine file holds.";
+    CONDITIONS_CRC 19 Unsigned "ConditionsCrc" "" "CRC over all registers before it and the data ID 0x0402.";
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::{format, fs, string::String};
+    use std::{format, fs, string::String, vec::Vec};
 
     #[test]
     fn a_block_has_neither_holes_nor_overlaps() {
-        for block in [INPUT, HOLDING] {
-            let mut next = 0;
+        for (block, first) in [(INPUT, 0), (HOLDING, 0), (CONDITIONS, HOLDING_LEN)] {
+            let mut next = first;
             for register in block {
                 assert_eq!(register.address, next, "{}", register.name);
                 next += register.form.registers();
@@ -183,15 +193,16 @@ mod tests {
         const FILE: &str =
             concat!(env!("CARGO_MANIFEST_DIR"), "/../../integrations/siemens-840d/trueup_db.awl");
         let wanted = format!(
-            "// trueup: what the gateway writes (byte 0 to 55, in mode slope to 63), and what it reads (byte 64 to 97). Made from the table\n\
+            "// trueup: what the gateway writes (byte 0 to 55, in mode slope to 63), and what it reads (byte 64 to 103). Made from the table\n\
              // of registers in crates/modbus; what each means: docs/modbus.md. Not optimized, not write-protected.\n\
              DATA_BLOCK DB 900\nTITLE = trueup\nVERSION : 1.0\nSTRUCT\n{}  SlopeX : INT;               // +56  0.1 um/m, mode slope\n\
              \x20 SlopeY : INT;               // +58  0.1 um/m\n\
              \x20 SlopeZ : INT;               // +60  0.1 um/m\n\
              \x20 SlopeCrc : WORD;            // +62  over byte 0 to 61 and the data ID 16#381\n\
-             // from byte 64\n{}END_STRUCT;\nBEGIN\nEND_DATA_BLOCK\n",
+             // from byte 64; a block without tool and conditions ends at CncCrc\n{}{}END_STRUCT;\nBEGIN\nEND_DATA_BLOCK\n",
             awl(INPUT, ""),
-            awl(HOLDING, "Cnc")
+            awl(HOLDING, "Cnc"),
+            awl(CONDITIONS, "Cnc")
         );
         if std::env::var_os("TRUEUP_WRITE_DOCS").is_some() {
             fs::write(FILE, &wanted).expect("the file can be written");
@@ -199,6 +210,35 @@ mod tests {
             let file = fs::read_to_string(FILE).expect("trueup_db.awl");
             assert!(file == wanted, "TRUEUP_WRITE_DOCS=1 cargo test -p trueup-modbus writes it");
         }
+    }
+
+    /// The program of an S7 copies each register from or to its place, in their order.
+    #[test]
+    fn the_program_of_the_s7_copies_every_register() {
+        const FILE: &str =
+            concat!(env!("CARGO_MANIFEST_DIR"), "/../../integrations/siemens-840d/trueup_fb.awl");
+        let file = fs::read_to_string(FILE).expect("trueup_fb.awl");
+        let copies = |word: &str| -> Vec<String> {
+            let lines = file.lines().filter_map(|line| line.split_once(word));
+            lines.map(|(_, at)| at.split(';').next().unwrap_or_default().into()).collect()
+        };
+        let places = |blocks: &[&[Register]], first: usize| -> Vec<String> {
+            let place = |it: &Register| {
+                let width = if it.form.registers() == 1 { 'W' } else { 'D' };
+                format!("{width} {}", first + 2 * it.address)
+            };
+            blocks.iter().copied().flatten().map(place).collect()
+        };
+        let mut read = places(&[INPUT], 0);
+        read.extend([56, 58, 60, 62].map(|byte| format!("W {byte}")));
+        assert_eq!(copies("L     DB900.DB"), read);
+        assert_eq!(copies("T     DB900.DB"), places(&[HOLDING, CONDITIONS], 64));
+        let crcs: Vec<String> = copies("LEN := ");
+        let crc =
+            |last: usize, id: u16| format!("{}, ID := W#16#{id:X}, RET_VAL := #CRC)", 2 * last);
+        let input = crc(INPUT_CRC, INPUT_DATA_ID);
+        let holding = [crc(HOLDING_CRC, HOLDING_DATA_ID), crc(CONDITIONS_CRC, CONDITIONS_DATA_ID)];
+        assert_eq!([&crcs[0], &crcs[2], &crcs[3]], [&input, &holding[0], &holding[1]]);
     }
 
     /// The tables of the documentation are these; `TRUEUP_WRITE_DOCS=1` writes them.
@@ -210,6 +250,7 @@ mod tests {
         for (mark, table) in [
             ("input registers", markdown(INPUT, "what the bridge says (function 4)")),
             ("holding registers", markdown(HOLDING, "what the control says (functions 16 and 3)")),
+            ("conditions", markdown(CONDITIONS, "tool and conditions (functions 16 and 3)")),
         ] {
             let (begin, end) = (format!("<!-- {mark} -->\n"), format!("<!-- end of {mark} -->"));
             let (before, rest) = wanted.split_once(&begin).expect("the mark of its begin");

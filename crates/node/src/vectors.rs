@@ -12,15 +12,16 @@ use trueup_core::{
     bridge::Input,
     calibration::Calibration,
     channels::RawTemperatures,
-    cnc::{AxisPosition, Control, Heading, LinearAxis, Rotary, Spindle},
+    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
     dimensions::CHANNELS,
     dimensions::CODES_PER_TICK,
+    term::Effect,
     thermometer::Raw,
     units::{Code, MicroDegrees, Position, Rpm},
 };
 use trueup_link::{
     frame::Frame,
-    frames::{self, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
+    frames::{self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
 };
 
 use crate::node::{Frames, Line, Node};
@@ -55,6 +56,7 @@ const FAULT_COUNT: u32 = FAULTS.len() as u32;
 enum Fault {
     None,
     NoPositions,
+    /// Neither angles nor `Conditions`.
     NoAngles,
     /// Neither `Control` nor `Spindle`.
     SilentCnc,
@@ -123,9 +125,11 @@ pub struct Vectors<'a> {
     /// How far each is above the coldest, in millikelvin.
     warmth_mk: [u32; CHANNELS],
     /// What the CNC sends in this millisecond.
-    sent: Vec<Frame, 6>,
-    /// Of the three positions, the angles, the spindle, the control.
-    counters: [u8; 6],
+    sent: Vec<Frame, 7>,
+    /// Of the three positions, the angles, the spindle, the control, tool and conditions.
+    counters: [u8; 7],
+    /// Whether the calibration depends on tool and conditions, which are sent then.
+    has_conditions: bool,
     checksum: u64,
 }
 
@@ -134,6 +138,9 @@ impl<'a> Vectors<'a> {
     #[must_use]
     pub fn new(calibration: Calibration<'a>, seed: u32, faults: bool) -> Self {
         let mut node = Node::new(Some(calibration), false);
+        let mut terms = calibration.terms.iter().flatten();
+        let has_conditions =
+            terms.any(|term| matches!(term.effect, Effect::Tool(_) | Effect::Condition(_)));
         for frame in frames::released() {
             // In order: none is refused.
             node.hear(Line::Can, &frame).ok();
@@ -150,7 +157,8 @@ impl<'a> Vectors<'a> {
             warmth_mk: [WARMTH_MK >> 1; CHANNELS],
             sent: Vec::new(),
             // After the three of `Control` above.
-            counters: [0, 0, 0, 0, 0, 3],
+            counters: [0, 0, 0, 0, 0, 3, 0],
+            has_conditions,
             checksum: 0xcbf2_9ce4_8422_2325,
         }
     }
@@ -176,6 +184,11 @@ impl<'a> Vectors<'a> {
             let zero = self.faults && self.number & 0x0FFF < 200;
             let control = Control { engage, zero, ..Control::REFERENCED };
             self.send(5, |counter| frames::control(control, counter));
+        }
+        if self.has_conditions && self.is_time(CONDITIONS_PERIOD_MS) && fault != Fault::NoAngles {
+            let said = self.random.next().to_le_bytes();
+            let (tool, bits) = (u16::from(said[0] & 63), u16::from_le_bytes([said[2], said[3]]));
+            self.send(6, |counter| frames::conditions(Conditions { tool, bits }, counter));
         }
         self.sense(fault);
     }

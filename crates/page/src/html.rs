@@ -4,6 +4,8 @@ use std::fmt::{Display, Write as _};
 
 use trueup_output::escape;
 
+use crate::unbroken::unbroken;
+
 /// One style for all pages. Colours are variables, so that a picture turns dark with its page; on paper
 /// everything is dark on white, and no picture or table is cut by the end of a sheet.
 const STYLE: &str = "\
@@ -14,7 +16,7 @@ const STYLE: &str = "\
 --open:#e0a33e;--bad:#ff8a80}}\
 *{box-sizing:border-box}\
 body{font:16px/1.5 system-ui,sans-serif;color:var(--ink);background:var(--paper);max-width:64rem;\
-margin:0 auto;padding:1rem;overflow-wrap:anywhere}\
+margin:0 auto;padding:1rem;overflow-wrap:break-word}\
 h1{font-size:1.6rem;line-height:1.2}h2{font-size:1.25rem;margin:2rem 0 .5rem}h3{font-size:1.05rem;\
 margin:1.2rem 0 .3rem}p{margin:.4rem 0}small,.soft{color:var(--soft)}\
 .card{background:var(--card);border-left:6px solid var(--rule);padding:.6rem 1rem;margin:.8rem 0}\
@@ -34,21 +36,26 @@ svg .dots{fill:none;stroke-width:4.8;stroke-linecap:round}\
 svg .dots.before{stroke:var(--before)}svg .dots.after{stroke:var(--after)}\
 svg .dots.measured{stroke:var(--measured)}svg .dots.truth{stroke:var(--truth)}\
 span.before,b.before{color:var(--before)}span.after,b.after{color:var(--after)}\
-.key{white-space:nowrap;margin-left:.8rem;font-weight:600}.key::before{content:\"● \"}\
+@media(min-width:601px){.w{white-space:nowrap}}.key{white-space:nowrap;margin-left:.8rem;font-weight:600}.key::before{content:\"● \"}\
 .key.measured{color:var(--measured)}.key.truth{color:var(--truth)}\
 .bars div{display:grid;grid-template-columns:minmax(7rem,16rem) 1fr 3rem;gap:.5rem;align-items:center;\
 margin:.2rem 0}.bars .track{background:var(--card);height:.8rem}.bars i{display:block;height:100%}\
 .bars i.before{background:var(--before)}.bars i.after{background:var(--after)}.bars b{text-align:right}\
 .table{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums}\
 td,th{padding:.2rem .8rem .2rem 0;text-align:right;vertical-align:top;border-bottom:1px solid var(--rule);\
-overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .4rem .15rem 0;font-size:.75rem;overflow-wrap:anywhere}}\
-pre{font-size:.8rem;white-space:pre-wrap}summary{cursor:pointer;margin:.8rem 0}\
+overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .25rem .15rem 0;font-size:.66rem}}\
+pre{font-size:.8rem;white-space:pre;overflow-x:auto}summary{cursor:pointer;margin:.8rem 0}\
 .left td,.left th{text-align:left}td:first-child,th:first-child,td.text{text-align:left}\
 @page{size:A4;margin:15mm}\
 @media print{:root{--ink:#000;--soft:#444;--paper:#fff;--card:#f2f2f2;--rule:#bbb;--before:#a04010;\
 --after:#104a90;--measured:#555;--truth:#1b5e20;--good:#1b5e20;--open:#8a5200;--bad:#a01010}\
-body{max-width:none;padding:0;font-size:10pt}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
+body{max-width:none;padding:0;font-size:10pt}pre{white-space:pre-wrap}figure{max-width:11cm}\
+.figures{margin:.3rem 0;gap:.3rem 1.5rem}.figures b{font-size:1.2rem}h1{font-size:1.3rem;margin:.2rem 0}\
+h2{margin:.8rem 0 .3rem}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
 .grid{grid-template-columns:1fr 1fr}*{print-color-adjust:exact}}";
+
+/// What stands before the lines to be typed next.
+pub const NEXT: &str = "Next, in a terminal:";
 
 /// A page that is being written.
 #[derive(Clone, Debug)]
@@ -98,10 +105,22 @@ impl Page {
 
     /// What comes out, in a card: `state` is `good`, `open` or `bad`.
     pub fn card<T: AsRef<str>>(&mut self, state: &str, heading: &str, sentences: &[T]) {
+        self.card_then(state, heading, sentences, &[]);
+    }
+
+    /// The same, with the lines to be typed next at its end.
+    pub fn card_then<T: AsRef<str>>(
+        &mut self,
+        state: &str,
+        heading: &str,
+        sentences: &[T],
+        next: &[String],
+    ) {
         let _ = writeln!(self.body, "<div class=\"card {state}\"><h2>{}</h2>", escaped(heading));
         for sentence in sentences {
             self.text(sentence.as_ref());
         }
+        self.body.push_str(&commands(NEXT, next));
         self.body.push_str("</div>\n");
     }
 
@@ -150,9 +169,19 @@ impl Page {
              <meta name=\"color-scheme\" content=\"light dark\">\n\
              <title>{}</title>\n<style>{STYLE}</style></head>\n<body>\n{}</body></html>\n",
             escaped(&self.title),
-            self.body
+            unbroken(&self.body)
         )
     }
+}
+
+/// Lines to be typed as HTML, with what they are for; an empty text where there are none.
+#[must_use]
+pub fn commands<T: AsRef<str>>(what: &str, lines: &[T]) -> String {
+    let lines: Vec<&str> = lines.iter().map(AsRef::as_ref).collect();
+    if lines.is_empty() {
+        return String::new();
+    }
+    format!("<p>{}</p>\n<pre>{}</pre>\n", escaped(what), escaped(&lines.join("\n")))
 }
 
 /// A table.

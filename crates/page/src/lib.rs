@@ -14,9 +14,10 @@ mod html;
 mod number;
 mod origin;
 mod seen;
+mod unbroken;
 
 pub use bars::Bars;
 pub use chart::{Chart, Colour, Series};
-pub use html::{Page, Table, escaped};
+pub use html::{NEXT, Page, Table, commands, escaped};
 pub use number::{micrometres, significant, time_unit, within};
 pub use origin::Origin;

@@ -1,6 +1,6 @@
 //! What a page was made from: without it a print is worth nothing a year later.
 
-use crate::html::Page;
+use crate::html::{Page, Table, escaped};
 
 /// Of what, when and by which version a page was made.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -19,7 +19,27 @@ impl Page {
         let Origin { version, date, files } = origin;
         let files: Vec<String> =
             files.iter().map(|(name, crc)| format!("{name} (CRC-32 {crc:08x})")).collect();
-        self.note(&format!("Made by trueup {version} on {date} (UTC) from {}.", files.join(", ")));
+        let from =
+            if files.is_empty() { String::new() } else { format!(" from {}", files.join(", ")) };
+        let said = escaped(&format!("Made by trueup {version} on {date} (UTC){from}."));
+        // A path may break behind a slash, and nowhere else.
+        self.raw(&format!("<p class=\"soft\">{}</p>\n", said.replace('/', "/<wbr>")));
+    }
+
+    /// Lines to be filled in by hand: who has measured what by what, and who answers for it.
+    pub fn signature(&mut self) {
+        let mut table = Table::new(&["to be filled in", ""]);
+        for what in [
+            "Machine, serial number",
+            "Instrument, its number",
+            "Calibrated until",
+            "Operator",
+            "Temperature at start and end, °C",
+            "Date, signature",
+        ] {
+            table.row(&[what, &"_".repeat(20)]);
+        }
+        self.table(&table);
     }
 }
 

@@ -7,7 +7,8 @@ use trueup_client::cnc::Cnc;
 use trueup_machine::{
     BadInput, Machine, MachineFile,
     compile::{compile, inverse},
-    model::{Parts, ReferenceModel, Situation, corrected, sensor_counts},
+    model::{Parts, ReferenceModel, Situation, corrected, required_columns, sensor_counts},
+    tool::TOOL_COLUMN,
 };
 use trueup_store::calibration::{decode, identity};
 
@@ -117,6 +118,20 @@ impl Laws {
             .collect()
     }
 
+    /// The tool and the conditions that these laws depend on, by their names, as the CNC says them now; NaN: it does
+    /// not say.
+    #[must_use]
+    pub fn conditions(&self, cnc: &Cnc, now_ms: u64) -> Vec<(String, f64)> {
+        let said = cnc.conditions(now_ms);
+        let inputs = self.machine.inputs.iter().flat_map(|inputs| &inputs.conditions);
+        let value = |it: Option<u16>| it.map_or(f64::NAN, f64::from);
+        let tool = (TOOL_COLUMN.to_string(), value(said.map(|it| it.tool)));
+        let conditions =
+            inputs.map(|(name, it)| (name.clone(), value(said.map(|all| all.has(it.bit).into()))));
+        let needed = required_columns(&self.machine);
+        std::iter::once(tool).chain(conditions).filter(|(name, _)| needed.contains(name)).collect()
+    }
+
     /// The share of each cause that the machine has.
     pub fn shares(&mut self, moment: &Moment<'_>) -> Vec<Share> {
         let channels = self.machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
@@ -136,6 +151,9 @@ impl Laws {
             angle_deg[axis.index()] = known(angle);
         }
         let sensor = self.machine.sensor_on_board();
+        let conditions = self.conditions(moment.cnc, now_ms);
+        let others: Vec<(&str, f64)> =
+            conditions.iter().map(|(name, it)| (name.as_str(), *it)).collect();
         let parts = self.model.step(&Situation {
             time_s: Some(moment.time_s),
             sensor_counts: match (sensor, moment.growth_um) {
@@ -147,6 +165,7 @@ impl Laws {
             temperatures_c: &temperatures_c,
             position_mm: moment.cnc.position_mm(now_ms).map(known),
             direction: moment.cnc.direction(now_ms).map(known),
+            others: &others,
             angle_deg,
             ..Situation::UNKNOWN
         });
@@ -215,6 +234,35 @@ mod tests {
         // Without a reading nothing is known of it, and nothing is said.
         let shares = laws(PAPER).shares(&moment(None, &cnc));
         assert!(shares[0].offset_um[2].is_nan());
+    }
+
+    /// Tool 7 grows by 0.02 µm for (1000 r/min)², and X moves by 3 µm while the coolant is on.
+    #[test]
+    fn what_depends_on_tool_and_conditions_is_by_what_the_cnc_says_of_them() {
+        use trueup_core::{
+            cnc::{Conditions, Spindle},
+            units::Rpm,
+        };
+        use trueup_link::frames;
+        let text = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+             [inputs]\ncoolant_on = { kind = \"condition\", bit = 9 }\ndoor = { kind = \"condition\", bit = 1 }\n\
+             [spindle.tools]\n7 = { um_per_krpm2 = 0.02 }\ndefault = { um_per_krpm2 = 0.0 }\n\
+             [[term]]\ncause = \"dependence\"\nquantity = \"dx\"\ncolumn = \"coolant_on\"\nform = \"level\"\n\
+             levels = [0.0, 1.0]\nlevel_um = [0.0, 3.0]\n";
+        let (mut laws, mut cnc) = (laws(text), Cnc::default());
+        let names = |laws: &Laws, cnc: &Cnc| laws.conditions(cnc, 1_000);
+        assert!(names(&laws, &cnc).iter().all(|(_, it)| it.is_nan()), "nobody has said them");
+        let sum = |laws: &mut Laws, cnc: &Cnc| -> [f64; 3] {
+            let shares = laws.shares(&moment(None, cnc));
+            let sum = |axis: usize| shares.iter().map(|it| it.offset_um[axis]).sum::<f64>();
+            [0, 1, 2].map(|axis| (sum(axis) * 1e6).round() / 1e6)
+        };
+        let unknown = sum(&mut laws, &cnc);
+        assert!(unknown[0].is_nan() && unknown[2].is_nan(), "{unknown:?}");
+        cnc.hear(&frames::spindle(Spindle { speed: Rpm(20_000), load_n: 0 }, 0), 1_000);
+        cnc.hear(&frames::conditions(Conditions { tool: 7, bits: 1 << 9 }, 0), 1_000);
+        assert_eq!(names(&laws, &cnc), [("tool".into(), 7.0), ("coolant_on".into(), 1.0)]);
+        assert_eq!(sum(&mut laws, &cnc), [-3.0, 0.0, 8.0]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The loop: what comes from the line, the keys and the gauge goes into the state, the state is drawn.
 
 use std::{
+    fs,
     path::{Path, PathBuf},
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
@@ -15,6 +16,7 @@ use ratatui::{
 use trueup_client::{
     Unusable,
     build::{Build, COMMIT},
+    holder::holder,
     line::{Line, LineEvent},
     object,
     poll::{Heard, Poll},
@@ -40,6 +42,8 @@ use crate::{
 const SAMPLE: Duration = Duration::from_millis(200);
 /// From one drawing to the next.
 const DRAW: Duration = Duration::from_millis(100);
+/// Characters of a picture of the screen, across and down.
+const PICTURE: [u16; 2] = [80, 24];
 /// A look at line and keys.
 const TURN: Duration = Duration::from_millis(10);
 /// A calibration is read once; after a refusal it is asked for again, not sooner than this.
@@ -62,6 +66,8 @@ pub struct Options {
     pub quantity: Quantity,
     /// A gauge that speaks.
     pub indicator: Option<Indicator>,
+    /// A picture of the screen is written here after so long, and nothing is drawn.
+    pub picture: Option<(PathBuf, Duration)>,
 }
 
 /// Shows the bridge until the user has seen enough; whether all that came was whole and in order.
@@ -79,11 +85,13 @@ pub fn run(options: Options) -> Result<bool> {
     }
     let theme = Theme { has_colour: std::env::var_os("NO_COLOR").is_none_or(|it| it.is_empty()) };
     let interface = port.interface().to_owned();
-    let line = Line::keep(move || port.open());
+    let kept = port.clone();
+    let line = Line::keep(move || kept.open());
     let indicator = options.indicator.clone().map(Indicator::listen);
     let mut live = Live {
         state,
         options,
+        port,
         interface,
         recorder: None,
         start: Instant::now(),
@@ -93,6 +101,12 @@ pub fn run(options: Options) -> Result<bool> {
     };
     if live.options.record.is_some() && !live.options.is_strict {
         live.record()?;
+    }
+    if let Some((path, after)) = live.options.picture.clone() {
+        live.watch(&line, after)?;
+        let picture = view::picture::picture(&live.state, PICTURE);
+        fs::write(&path, picture).with_context(|| format!("while writing {}", path.display()))?;
+        return Ok(live.state.is_sound());
     }
     let terminal = ratatui::try_init().context("the terminal cannot be used; try --plain")?;
     let ended = live.turn(terminal, theme, &line, indicator.as_ref());
@@ -108,6 +122,7 @@ pub fn run(options: Options) -> Result<bool> {
 struct Live {
     state: State,
     options: Options,
+    port: Port,
     interface: String,
     recorder: Option<Recorder>,
     start: Instant,
@@ -162,6 +177,19 @@ impl Live {
         }
     }
 
+    /// Takes what comes for so long, without a terminal.
+    fn watch(&mut self, line: &Line, length: Duration) -> Result<()> {
+        while self.start.elapsed() < length {
+            for heard in line.heard() {
+                self.hear(heard, line)?;
+            }
+            self.state.sample(self.now_s());
+            self.ask(line, Instant::now());
+            std::thread::sleep(SAMPLE);
+        }
+        Ok(())
+    }
+
     fn now_s(&self) -> f64 {
         self.start.elapsed().as_secs_f64()
     }
@@ -169,7 +197,11 @@ impl Live {
     fn hear(&mut self, heard: LineEvent, line: &Line) -> Result<()> {
         match heard {
             LineEvent::Up => self.state.link = Link::Up,
-            LineEvent::Down(why) => self.state.link = Link::Down(why),
+            LineEvent::Down(why) => {
+                let other = holder(&self.port);
+                let other = other.map(|it| format!("; {it} has the line: end it first"));
+                self.state.link = Link::Down(why + &other.unwrap_or_default());
+            }
             LineEvent::Received(Event::Frame(frame)) => self.frame(&frame, line)?,
             LineEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
             LineEvent::Late => {
@@ -187,6 +219,7 @@ impl Live {
         if let Some(recorder) = &mut self.recorder {
             recorder.runs(self.state.board.calibration);
             recorder.hear(frame, SystemTime::now())?;
+            self.state.recorded(recorder.readings(), recorder.rows());
         }
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
             self.state.say("the bridge has started anew");
@@ -287,8 +320,18 @@ impl Live {
             Some(Action::Mark(um)) => {
                 if let Some(recorder) = &mut self.recorder {
                     recorder.mark(um);
-                    self.state.marks += 1;
-                    self.state.say(format!("{um:+.2} µm written down"));
+                    self.state.recorded(recorder.readings(), recorder.rows());
+                    self.state.mark(um);
+                    self.state.say(format!("{um:+.2} µm written down; u takes it back"));
+                }
+            }
+            Some(Action::Unmark) => {
+                if let Some(recorder) = &mut self.recorder
+                    && let Some(um) = recorder.unmark()?
+                {
+                    self.state.recorded(recorder.readings(), recorder.rows());
+                    self.state.unmark();
+                    self.state.say(format!("{um:+.2} µm taken out again"));
                 }
             }
         }
@@ -307,7 +350,7 @@ impl Live {
         let machine = self.options.machine.as_deref();
         let quantity = Some(self.options.quantity);
         self.recorder = Some(Recorder::begin(&path, machine, &self.interface, quantity)?);
-        self.state.marks = 0;
+        self.state.recorded(0, 0);
         self.state.recording = Some(shown(&path));
         Ok(())
     }

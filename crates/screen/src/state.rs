@@ -5,22 +5,25 @@ use trueup_client::{
     cnc::Cnc,
     remedy::remedies,
     status::Board,
-    words::{flag_words, offset_um},
+    words::{flag_words, offset_um, waits_for},
 };
-use trueup_core::cnc::Output;
+use trueup_core::{cnc::Output, dimensions::CHANNELS};
 use trueup_link::{
     frame::Frame,
     receiver::{Counters, OffsetReceiver},
+    status::Item,
 };
 use trueup_machine::file::Quantity;
 
 use crate::{
     laws::{Laws, Moment, Share},
-    trend::{SERIES, Trend},
+    trend::{DIFFERENCE, SERIES, Trend},
 };
 
 /// Offsets older than this are not shown as being of now: 1 s is a thousand cycles.
 const STALE_S: f64 = 1.0;
+/// A value of the status older than this is shown as old: each item comes every 1.5 s.
+const OLD_S: f64 = 4.0;
 /// A reading of the sensor that was asked for counts for so long; then the one of the status does.
 const ASKED_S: f64 = 1.0;
 /// A gauge's reading older than this is not of the moment at which a key is pressed.
@@ -54,6 +57,8 @@ pub enum Action {
     EndRecording,
     /// Write this reading of the gauge down, in µm.
     Mark(f64),
+    /// Take the last reading out of the recording.
+    Unmark,
 }
 
 /// The line to the bridge.
@@ -93,6 +98,14 @@ pub struct Gauge {
     pub trouble: Option<String>,
 }
 
+/// When the items of the status came last, in s since the screen began.
+#[derive(Clone, Copy, Debug, Default)]
+struct Told {
+    growth: Option<f64>,
+    temperatures: [Option<f64>; CHANNELS / 2],
+    state: Option<f64>,
+}
+
 /// All that the screen knows.
 pub struct State {
     /// Where the bridge is, as the user wrote it.
@@ -109,8 +122,10 @@ pub struct State {
     pub prompt: Option<String>,
     /// Where the recording goes.
     pub recording: Option<String>,
-    /// Readings of the gauge that were written down.
-    pub marks: u32,
+    /// Readings of the gauge that stand in the recording.
+    pub marks: usize,
+    /// Rows of the recording.
+    pub rows: u64,
     /// Every key is explained.
     pub is_helping: bool,
     /// What the board says of itself.
@@ -130,6 +145,8 @@ pub struct State {
     offsets: OffsetReceiver,
     output: Option<(Output, f64)>,
     asked: Option<(Option<f64>, f64)>,
+    /// When the elongation came last, each pair of temperatures, and anything of the status.
+    told_s: Told,
     cnc: Cnc,
     frames: u32,
     counted_s: f64,
@@ -150,6 +167,7 @@ impl State {
             prompt: None,
             recording: None,
             marks: 0,
+            rows: 0,
             is_helping: false,
             board: Board::default(),
             shares: Vec::new(),
@@ -161,6 +179,7 @@ impl State {
             offsets: OffsetReceiver::new(),
             output: None,
             asked: None,
+            told_s: Told::default(),
             cnc: Cnc::default(),
             frames: 0,
             counted_s: 0.0,
@@ -173,7 +192,16 @@ impl State {
     pub fn hear(&mut self, frame: &Frame, now_s: f64) {
         self.now_s = now_s;
         self.frames += 1;
-        self.board.hear(frame);
+        match self.board.hear(frame) {
+            Some(Item::Elongation(_)) => self.told_s.growth = Some(now_s),
+            Some(Item::Temperatures { pair, .. }) => {
+                if let Some(place) = self.told_s.temperatures.get_mut(usize::from(pair)) {
+                    *place = Some(now_s);
+                }
+            }
+            Some(Item::State(_)) => self.told_s.state = Some(now_s),
+            _ => {}
+        }
         self.cnc.hear(frame, (now_s * 1_000.0) as u64);
         // What is refused is counted in there.
         if let Ok(Some(output)) = self.offsets.accept(frame) {
@@ -210,21 +238,23 @@ impl State {
             (self.frames, self.counted_s) = (0, now_s);
         }
         let growth_um = self.growth_um();
+        // What is old says nothing of now.
+        let centi_c: [Option<i16>; CHANNELS] = std::array::from_fn(|channel| {
+            self.board.centi_c[channel].filter(|_| self.temperature_age_s(channel).is_none())
+        });
         self.shares = match &mut self.laws {
-            Some(laws) => laws.shares(&Moment {
-                time_s: now_s,
-                growth_um,
-                centi_c: &self.board.centi_c,
-                cnc: &self.cnc,
-            }),
+            Some(laws) => {
+                laws.shares(&Moment { time_s: now_s, growth_um, centi_c: &centi_c, cnc: &self.cnc })
+            }
             None => Vec::new(),
         };
         let mut values = [f64::NAN; SERIES];
         values[0] = growth_um.unwrap_or(f64::NAN);
         values[1..4].copy_from_slice(&self.offset_um().unwrap_or([f64::NAN; 3]));
-        for (value, centi_c) in values[4..].iter_mut().zip(self.board.centi_c) {
+        for (value, centi_c) in values[4..].iter_mut().zip(centi_c) {
             *value = centi_c.map_or(f64::NAN, |it| f64::from(it) / 100.0);
         }
+        values[DIFFERENCE] = self.difference_um().unwrap_or(f64::NAN);
         self.trend.push(now_s, values);
     }
 
@@ -244,6 +274,8 @@ impl State {
                 return Some(if is_recording { Action::EndRecording } else { Action::Record });
             }
             Key::Char('g' | 'G') => return self.asks_for_a_reading(),
+            Key::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
+            Key::Char('u' | 'U') => self.say("no reading of the gauge is in the recording"),
             Key::Char('t' | 'T') => self.next_series(),
             Key::Char('?' | 'h') => self.is_helping = !is_helping,
             _ => {}
@@ -277,6 +309,7 @@ impl State {
             Key::Enter => match text.parse::<f64>() {
                 Ok(um) => {
                     self.prompt = None;
+                    self.gauge.latest = Some((um, self.now_s));
                     return Some(Action::Mark(um));
                 }
                 Err(_) => self.say("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
@@ -325,13 +358,92 @@ impl State {
         self.output().and_then(offset_um)
     }
 
-    /// The growth by the sensor, in µm: the newest that is known.
+    /// The growth by the sensor, in µm: the newest that is known, as long as it is not old.
     #[must_use]
     pub fn growth_um(&self) -> Option<f64> {
+        self.last_growth().filter(|(_, age_s)| age_s.is_none()).map(|(um, _)| um)
+    }
+
+    /// The last growth that came, in µm, and its age in s where it is old.
+    #[must_use]
+    pub fn last_growth(&self) -> Option<(f64, Option<f64>)> {
         match self.asked {
-            Some((growth_um, at_s)) if self.now_s - at_s <= ASKED_S => growth_um,
-            _ => self.board.elongation_um(),
+            Some((growth_um, at_s)) if self.now_s - at_s <= ASKED_S => Some((growth_um?, None)),
+            _ => Some((self.board.elongation_um()?, self.age_s(self.told_s.growth))),
         }
+    }
+
+    /// How long ago offsets came last, in s; `None`: none ever did.
+    #[must_use]
+    pub fn output_age_s(&self) -> Option<f64> {
+        self.output.as_ref().map(|(_, at_s)| self.now_s - at_s)
+    }
+
+    /// The last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none came.
+    #[must_use]
+    pub fn old_offset_um(&self) -> Option<([f64; 3], f64)> {
+        let (output, at_s) = self.output.as_ref()?;
+        let age_s = self.now_s - at_s;
+        Some((offset_um(output)?, age_s)).filter(|_| age_s > STALE_S)
+    }
+
+    /// The age in s of a channel's temperature, where it is old.
+    #[must_use]
+    pub fn temperature_age_s(&self, channel: usize) -> Option<f64> {
+        self.age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
+    }
+
+    /// The age in s of what the board has said of its faults, where it is old.
+    #[must_use]
+    pub fn state_age_s(&self) -> Option<f64> {
+        self.age_s(self.told_s.state)
+    }
+
+    /// How long ago this was, in s, where it is too long.
+    fn age_s(&self, at_s: Option<f64>) -> Option<f64> {
+        let age_s = self.now_s - at_s?;
+        (age_s > OLD_S).then_some(age_s)
+    }
+
+    /// What the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its offset
+    /// corrects.
+    #[must_use]
+    pub fn bridge_um(&self) -> Option<f64> {
+        let axis = match self.gauge.quantity {
+            Quantity::Elongation => return self.growth_um(),
+            Quantity::Dx => 0,
+            Quantity::Dy => 1,
+            Quantity::Dz => 2,
+        };
+        self.offset_um().map(|um| 0.0 - um[axis])
+    }
+
+    /// The gauge minus the bridge, in µm, while the gauge's reading is of now.
+    #[must_use]
+    pub fn difference_um(&self) -> Option<f64> {
+        let (um, at_s) = self.gauge.latest?;
+        (self.now_s - at_s <= FRESH_S).then_some(um - self.bridge_um()?)
+    }
+
+    /// For whom the bridge waits that gives no offset: "engage" or "confirm".
+    #[must_use]
+    pub fn waits_for(&self) -> Option<&'static str> {
+        waits_for(self.output()?.quality, self.board.state, self.board.calibration)
+    }
+
+    /// A reading of the gauge was written down, or taken out: its number and the rows of the recording.
+    pub fn recorded(&mut self, readings: usize, rows: u64) {
+        (self.marks, self.rows) = (readings, rows);
+    }
+
+    /// The reading is drawn where it was taken.
+    pub fn mark(&mut self, um: f64) {
+        self.trend.mark(self.now_s, um);
+    }
+
+    /// The last of them is not drawn any more.
+    pub fn unmark(&mut self) {
+        self.trend.unmark();
     }
 
     /// What was received of the offsets, since the screen began.
@@ -344,6 +456,13 @@ impl State {
     #[must_use]
     pub fn unpaired(&self) -> u32 {
         self.offsets.unpaired()
+    }
+
+    /// The tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.
+    #[must_use]
+    pub fn conditions(&self) -> Vec<(String, f64)> {
+        let now_ms = (self.now_s * 1_000.0) as u64;
+        self.laws.as_ref().map(|laws| laws.conditions(&self.cnc, now_ms)).unwrap_or_default()
     }
 
     /// The CNC is heard on this line.

@@ -4,13 +4,17 @@ use std::collections::VecDeque;
 
 /// So far back, in s: what a finger, a spindle's start and the first of the heat take.
 pub const WINDOW_S: f64 = 300.0;
-/// What is watched: the growth, three offsets, eight temperatures.
-pub const SERIES: usize = 12;
+/// What is watched: the growth, three offsets, eight temperatures, and what the gauge shows minus what the bridge has.
+pub const SERIES: usize = 13;
+/// The last of them.
+pub const DIFFERENCE: usize = 12;
 
 /// A ring of samples.
 #[derive(Clone, Debug, Default)]
 pub struct Trend {
     samples: VecDeque<(f64, [f64; SERIES])>,
+    /// Readings of the gauge that were written down: when, and what, in µm.
+    marks: VecDeque<(f64, f64)>,
 }
 
 impl Trend {
@@ -20,6 +24,26 @@ impl Trend {
         while self.samples.front().is_some_and(|(at, _)| *at < time_s - WINDOW_S) {
             self.samples.pop_front();
         }
+        while self.marks.front().is_some_and(|(at, _)| *at < time_s - WINDOW_S) {
+            self.marks.pop_front();
+        }
+    }
+
+    /// Adds a reading of the gauge that was written down.
+    pub fn mark(&mut self, time_s: f64, um: f64) {
+        self.marks.push_back((time_s, um));
+    }
+
+    /// Takes the last one away.
+    pub fn unmark(&mut self) {
+        self.marks.pop_back();
+    }
+
+    /// The readings as (seconds before the newest sample, µm).
+    #[must_use]
+    pub fn marks(&self) -> Vec<(f64, f64)> {
+        let newest_s = self.samples.back().map_or(0.0, |(at, _)| *at);
+        self.marks.iter().map(|(at, um)| ((at - newest_s).min(0.0), *um)).collect()
     }
 
     /// One series as (seconds before the newest, value), without what is not known.

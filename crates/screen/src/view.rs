@@ -2,6 +2,7 @@
 //! room the trend goes first, then the shares.
 
 mod lines;
+pub mod picture;
 mod trend;
 
 use ratatui::{
@@ -17,13 +18,15 @@ use crate::state::{Link, State};
 /// Rows without which a trend says nothing.
 const LEAST_TREND: u16 = 4;
 /// What every key does.
-const KEYS: [(&str, &str); 5] =
-    [("q", "quit"), ("r", "record"), ("g", "gauge"), ("t", "trend"), ("?", "help")];
-const HELP: [&str; 9] = [
+const KEYS: [(&str, &str); 6] =
+    [("q", "quit"), ("r", "record"), ("g", "gauge"), ("u", "undo"), ("t", "trend"), ("?", "help")];
+const HELP: [&str; 11] = [
     "q  quit; the bridge goes on as it was",
     "r  begin or end a recording: every frame, and a run file for diagnose",
     "g  write a reading of the gauge into the recording, typed or live",
-    "t  draw the next: growth, offset of X, Y, Z, temperatures",
+    "u  take the last reading out of the recording again",
+    "t  draw the next: growth, offset of X, Y, Z, temperatures,",
+    "   gauge minus bridge",
     "?  this help; any key closes it",
     "",
     "Offsets are what the CNC has to add: a tool that grows is lifted, +Z.",
@@ -52,6 +55,12 @@ impl Theme {
         if self.has_colour { style.fg(Color::Red) } else { style }
     }
 
+    /// Of a value that is old.
+    fn old(self) -> Style {
+        let style = Style::new().add_modifier(Modifier::DIM);
+        if self.has_colour { style.fg(Color::DarkGray) } else { style }
+    }
+
     fn number(self) -> Style {
         let style = Style::new().add_modifier(Modifier::BOLD);
         if self.has_colour { style.fg(Color::Cyan) } else { style }
@@ -68,8 +77,9 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
     let below = lines::below(state, theme, width);
     let troubles = lines::troubles(state, theme, width);
     let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
-    // The line of messages and the line of keys.
-    let fixed = rows(&top) + rows(&below) + rows(&troubles) + 2;
+    let message = message(state, theme, width);
+    // The lines of messages and the line of keys.
+    let fixed = rows(&top) + rows(&below) + rows(&troubles) + rows(&message) + 1;
     let fits = |table: &[Line<'_>], trend| fixed + rows(table) + trend <= area.height;
     let table = if fits(&table, LEAST_TREND) { table } else { short };
     let spare = area.height.saturating_sub(fixed + rows(&table));
@@ -82,7 +92,7 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
             Constraint::Length(rows(&below)),
             Constraint::Fill(1),
             Constraint::Length(trend),
-            Constraint::Length(1),
+            Constraint::Length(rows(&message)),
             Constraint::Length(1),
         ])
         .areas(area);
@@ -93,40 +103,49 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
     if trend > 0 {
         trend::draw(frame, at_trend, state, theme);
     }
-    frame.render_widget(Paragraph::new(message(state, theme)), at_message);
+    frame.render_widget(Paragraph::new(message), at_message);
     frame.render_widget(Paragraph::new(keys(state, theme)), at_keys);
     if state.is_helping {
         help(frame, area, theme);
     }
 }
 
-fn message(state: &State, theme: Theme) -> Line<'static> {
+/// Lines of the last one that need no more than this are shown whole.
+const MAX_MESSAGE: usize = 3;
+
+fn message(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let quantity = state.gauge.quantity.name();
-    if let Some(typed) = &state.prompt {
+    let (text, style) = if let Some(typed) = &state.prompt {
         let or_live = if state.gauge.is_live { " (or press its button)" } else { "" };
         let asked = format!("measured {quantity} in µm{or_live}: {typed}_");
         let said = state.message().map(|it| format!("   {it}")).unwrap_or_default();
-        return Line::styled(asked + &said, theme.heading());
-    }
-    if let Some(message) = state.message() {
-        return Line::styled(message.to_owned(), theme.heading());
-    }
-    match &state.link {
-        Link::Down(why) => Line::styled(format!("line down, trying again: {why}"), theme.bad()),
-        Link::Opening => Line::raw("opening the line"),
-        Link::Up => match &state.recording {
-            Some(to) => Line::raw(format!("recording to {to}, {} gauge readings", state.marks)),
-            None => Line::raw("listening only: nothing is engaged by this screen"),
-        },
-    }
+        (asked + &said, theme.heading())
+    } else if let Some(message) = state.message() {
+        (message.to_owned(), theme.heading())
+    } else {
+        match &state.link {
+            Link::Down(why) => (format!("line down, trying again: {why}"), theme.bad()),
+            Link::Opening => ("opening the line".to_owned(), Style::new()),
+            Link::Up => {
+                ("listening only: nothing is engaged by this screen".to_owned(), Style::new())
+            }
+        }
+    };
+    let mut lines = lines::wrapped(&text, width, style);
+    lines.truncate(MAX_MESSAGE);
+    lines
 }
 
 fn keys(state: &State, theme: Theme) -> Line<'static> {
     let mut spans = Vec::new();
     for (key, word) in KEYS {
-        let word = if key == "r" && state.recording.is_some() { "end recording" } else { word };
+        let is_recording = state.recording.is_some();
+        let word = if key == "r" && is_recording { "end recording" } else { word };
+        if key == "u" && !is_recording {
+            continue;
+        }
         spans.push(Span::styled(key, theme.heading()));
-        spans.push(Span::raw(format!(" {word}   ")));
+        spans.push(Span::raw(format!(" {word}  ")));
     }
     Line::from(spans)
 }

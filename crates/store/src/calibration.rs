@@ -21,7 +21,7 @@
 //! | 544 | 6 × `i32` squareness, in the same order | 2⁻³⁶ nm per 10 nm |
 //! | 568 | `u32` smoothing factor of the spindle's temperature while it falls | |
 //! | 572 | terms of a diagnosis: a table of 24 bytes each | |
-//! | 576 | `u16` way back from one source to another; `u16` switches, bit 0 the service switch; `i32` thermometers of a cold machine agree within | nm/s, up to 1000; 2⁻¹² mK, 0…5 K |
+//! | 576 | `u16` way back from one source to another; `u16` switches, bit 0 the service switch, bit 1 mains of 60 Hz; `i32` thermometers of a cold machine agree within | nm/s, up to 1000; 2⁻¹² mK, 0…5 K |
 //! | 584 | 3 × `u32` number of the board's chip, the lowest word first; 0: any board | |
 //! | 596 | the machine's name and its serial number: tables of a byte each, UTF-8 | |
 //! | 604 | the tables, in the order of their references | |

@@ -8,6 +8,7 @@
 //! |---|---|
 //! | [`heat`] | heat conduction along a rod, by finite volumes |
 //! | [`spindle`] | bearings, motor, cooling; growth by heat, speed, holder and force |
+//! | [`tool`] | what each tool adds by its speed |
 //! | [`ambient`] | the air over the day |
 //! | [`axes`] | screws, scales, pitch, backlash, straightness, angles |
 //! | [`cubic_spline`] | smooth curves through points |
@@ -63,6 +64,7 @@ pub mod schema;
 pub mod sensors;
 pub mod spindle;
 pub mod table;
+pub mod tool;
 pub mod trial;
 pub mod trial_axis;
 pub mod year;

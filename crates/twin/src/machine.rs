@@ -19,6 +19,7 @@ use crate::{
     scenario::{CoolantConfig, Scenario},
     sensors::{Displacement, Spot, Thermometer},
     spindle::{Drive, Growth, Spindle, SpindleTemperatures},
+    tool::{ToolConfig, growth_um},
 };
 
 /// What the drives do over one step: where it ends, and what holds during it.
@@ -32,6 +33,8 @@ pub struct Command {
     pub spindle_rpm: f64,
     /// Axial cutting force in N; positive pushes the tool back.
     pub load_n: f64,
+    /// Number of the tool in the spindle; 0: none.
+    pub tool: u16,
 }
 
 /// A machine on its way.
@@ -41,6 +44,7 @@ pub struct Machine {
     ambient: Ambient,
     coolant: CoolantConfig,
     spindle: Option<Spindle>,
+    tools: Vec<ToolConfig>,
     axes: Axes,
     sensor: Option<Displacement>,
     thermometers: Vec<(String, Thermometer)>,
@@ -70,13 +74,18 @@ impl Machine {
             ambient,
             coolant: scenario.coolant.clone(),
             spindle: scenario.spindle.as_ref().map(|config| Spindle::new(config, start_c)),
+            tools: scenario.tool.clone(),
             axes: Axes::new(&scenario.axes(), scenario.start_mm, start_c),
             sensor: scenario.sensor.as_ref().map(|config| Displacement::new(config, seed)),
             thermometers: thermometers.collect(),
             head: scenario.head.clone(),
             straight,
             direction: straight,
-            command: Command { position_mm: scenario.start_mm, ..Command::default() },
+            command: Command {
+                position_mm: scenario.start_mm,
+                tool: scenario.segment.first().and_then(|it| it.tool).unwrap_or(0),
+                ..Command::default()
+            },
         };
         machine.look(0.0);
         machine
@@ -84,10 +93,14 @@ impl Machine {
 
     /// Steps on by `dt_s`, above 0.
     pub fn step(&mut self, dt_s: f64, command: &Command) {
+        let is_changed = self.command.tool != command.tool;
         self.command = *command;
         let ambient_c = self.ambient.step(dt_s);
         let coolant_c = self.coolant_c(ambient_c);
         if let Some(spindle) = &mut self.spindle {
+            if is_changed {
+                spindle.take_cold_tool(ambient_c);
+            }
             let Command { spindle_rpm, load_n, .. } = *command;
             spindle.step(dt_s, &Drive { spindle_rpm, load_n, ambient_c, coolant_c });
         }
@@ -162,7 +175,9 @@ impl Machine {
     }
 
     fn growth(&self) -> Growth {
-        self.spindle.as_ref().map(Spindle::growth).unwrap_or_default()
+        let Some(spindle) = &self.spindle else { return Growth::default() };
+        let Command { tool, spindle_rpm, .. } = self.command;
+        Growth { tool_um: growth_um(&self.tools, tool, spindle_rpm), ..spindle.growth() }
     }
 
     /// Lets the sensors that have a memory see the truth.

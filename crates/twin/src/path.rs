@@ -40,6 +40,8 @@ pub struct Segment {
     /// Axial cutting force in N; positive pushes the tool back.
     #[serde(default)]
     pub load_n: f64,
+    /// Number of the tool that is taken at its begin, 0: none; without it the tool stays.
+    pub tool: Option<u16>,
     /// `spindle`: for how long, in s.
     pub duration_s: Option<f64>,
     /// `move`: to where, X, Y and Z in mm.
@@ -70,6 +72,7 @@ impl Segment {
             kind,
             spindle_rpm: 0.0,
             load_n: 0.0,
+            tool: None,
             duration_s: None,
             to_mm: None,
             feed_mm_per_min: None,
@@ -155,6 +158,8 @@ pub struct Leg {
     pub spindle_rpm: f64,
     /// Axial cutting force in N.
     pub load_n: f64,
+    /// Number of the tool in the spindle; 0: none.
+    pub tool: u16,
     /// The number of the repeat, from 1, if it ends with a row.
     pub row_of_run: Option<u32>,
 }
@@ -168,7 +173,7 @@ pub fn legs(
     interval_s: f64,
     seed: u64,
 ) -> Vec<Leg> {
-    let mut path = Path { legs: Vec::new(), at_mm: start_mm, cycle: 0 };
+    let mut path = Path { legs: Vec::new(), at_mm: start_mm, tool: 0, cycle: 0 };
     for number in 1..=repeat {
         for (index, segment) in segments.iter().enumerate() {
             // The same targets each time: they are what is compared.
@@ -187,12 +192,14 @@ pub(crate) fn distance_mm(from_mm: [f64; 3], to_mm: [f64; 3]) -> f64 {
 struct Path {
     legs: Vec<Leg>,
     at_mm: [f64; 3],
+    tool: u16,
     cycle: u32,
 }
 
 impl Path {
     fn add(&mut self, segment: &Segment, number: u32, interval_s: f64, mut chance: Stream) {
         let feed_mm_per_s = segment.feed_mm_per_min.unwrap_or(f64::INFINITY) / 60.0;
+        self.tool = segment.tool.unwrap_or(self.tool);
         match segment.kind {
             Kind::Spindle => {
                 let to_mm = self.at_mm;
@@ -285,7 +292,8 @@ impl Path {
 
     fn push(&mut self, segment: &Segment, to_mm: [f64; 3], seconds: f64, row_of_run: Option<u32>) {
         let Segment { spindle_rpm, load_n, .. } = *segment;
-        self.legs.push(Leg { seconds, to_mm, spindle_rpm, load_n, row_of_run });
+        let tool = self.tool;
+        self.legs.push(Leg { seconds, to_mm, spindle_rpm, load_n, tool, row_of_run });
         self.at_mm = to_mm;
     }
 }

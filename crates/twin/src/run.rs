@@ -37,6 +37,7 @@ struct Run<'s> {
     scenario: &'s Scenario,
     machine: Machine,
     has_positions: bool,
+    has_tools: bool,
     instruments: Vec<(Quantity, Instrument)>,
 }
 
@@ -51,6 +52,7 @@ impl<'s> Run<'s> {
             machine: Machine::new(scenario, seed),
             has_positions: scenario.measure.iter().any(|it| *it != Quantity::Elongation)
                 || scenario.segment.iter().any(|it| it.to_mm.is_some() || it.axis.is_some()),
+            has_tools: scenario.segment.iter().any(|it| it.tool.is_some()),
             instruments: instruments.collect(),
         }
     }
@@ -66,8 +68,8 @@ impl<'s> Run<'s> {
             let on_way = |i: usize| from_mm[i] + (leg.to_mm[i] - from_mm[i]) * share;
             // Its end exactly: a last digit that the next leg takes back would be a reversal.
             let position_mm = if part < parts { [0, 1, 2].map(on_way) } else { leg.to_mm };
-            let Leg { spindle_rpm, load_n, .. } = *leg;
-            let command = Command { position_mm, spindle_rpm, load_n, ..Command::default() };
+            let Leg { spindle_rpm, load_n, tool, .. } = *leg;
+            let command = Command { position_mm, spindle_rpm, load_n, tool, ..Command::default() };
             self.machine.step(leg.seconds / parts, &command);
         }
     }
@@ -82,6 +84,9 @@ impl<'s> Run<'s> {
         if self.machine.has_spindle() {
             table.push("spindle_rpm", 3, leg.spindle_rpm);
             table.push("load_n", 3, leg.load_n);
+        }
+        if self.has_tools {
+            table.push("tool", 0, leg.tool.into());
         }
         for (column, shown_c) in self.machine.temperatures_c() {
             // Four decimals hold a sixteenth of a kelvin exactly.

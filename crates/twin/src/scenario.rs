@@ -19,6 +19,7 @@ use crate::{
     path::{Segment, distance_mm},
     sensors::{DisplacementConfig, Spot, ThermometerConfig},
     spindle::SpindleConfig,
+    tool::{self, ToolConfig},
 };
 
 pub use crate::broken::BadScenario;
@@ -103,6 +104,9 @@ pub struct Scenario {
     pub coolant: CoolantConfig,
     /// The spindle; without it nothing grows.
     pub spindle: Option<SpindleConfig>,
+    /// The tools of its magazine; without them nothing depends on the tool.
+    #[serde(default)]
+    pub tool: Vec<ToolConfig>,
     /// The displacement sensor in its nose; without it there are no counts.
     pub sensor: Option<DisplacementConfig>,
     /// The thermometers, by the name in their column `temp_<name>_c`.
@@ -262,6 +266,7 @@ impl Scenario {
         for (index, segment) in self.segment.iter().enumerate() {
             segment.check().map_err(|rule| rule.within(&format!("segment[{index}]")))?;
         }
+        tool::check(&self.tool, &self.segment)?;
         if self.repeat == 0 {
             return Err(Rule::new("repeat", "must be at least 1, not 0".into()));
         }

@@ -17,6 +17,7 @@ use crate::{
     scenario::{CoolantConfig, MOST_ROWS},
     sensors::{DisplacementConfig, ThermometerConfig},
     spindle::SpindleConfig,
+    tool::ToolConfig,
 };
 
 /// The scenario as a JSON schema (draft 2020-12).
@@ -78,6 +79,7 @@ fn fields_of(table: &str) -> &'static [&'static str] {
         "ambient" => fields::<AmbientConfig>(),
         "coolant" => fields::<CoolantConfig>(),
         "spindle" => fields::<SpindleConfig>(),
+        "tool" => fields::<ToolConfig>(),
         "sensor" => fields::<DisplacementConfig>(),
         "thermometer" => fields::<ThermometerConfig>(),
         "axis" => fields::<AxisConfig>(),
@@ -211,7 +213,7 @@ mod tests {
             assert_eq!(fields, keys, "{name}");
             tables += 1;
         });
-        assert_eq!(tables, 11);
+        assert_eq!(tables, 12);
     }
 
     #[test]

@@ -235,6 +235,8 @@ pub struct Growth {
     pub housing_um: f64,
     /// Tool and holder beyond the sensor.
     pub holder_um: f64,
+    /// The tool by centrifugal force, beyond the sensor ([`crate::tool`]).
+    pub tool_um: f64,
     /// Under the cutting force; negative where it pushes the tool back.
     pub elastic_um: f64,
 }
@@ -249,7 +251,7 @@ impl Growth {
     /// What the tool tip does: the elongation.
     #[must_use]
     pub fn at_tip_um(&self) -> f64 {
-        self.at_sensor_um() + self.housing_um + self.holder_um + self.elastic_um
+        self.at_sensor_um() + self.housing_um + self.holder_um + self.tool_um + self.elastic_um
     }
 }
 
@@ -370,6 +372,11 @@ impl Spindle {
         account
     }
 
+    /// Takes another tool out of the magazine, in air of `ambient_c`: it warms behind the nose from now on.
+    pub fn take_cold_tool(&mut self, ambient_c: f64) {
+        self.holder_c = ambient_c;
+    }
+
     /// The shaft, for whoever keeps an account of its heat.
     #[must_use]
     pub fn shaft(&self) -> &Rod {
@@ -390,6 +397,7 @@ impl Spindle {
             centrifugal_um: config.centrifugal_um_per_krpm2 * krpm * krpm,
             housing_um: nodes_um(config.housing_length_m, self.housing_c),
             holder_um: nodes_um(config.holder_length_m, self.holder_c),
+            tool_um: 0.0,
             elastic_um: if stiffness > 0.0 { -self.drive.load_n / stiffness } else { 0.0 },
         }
     }

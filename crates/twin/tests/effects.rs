@@ -206,6 +206,66 @@ fn the_shafts_account_of_heat_is_closed_over_a_whole_run() {
     assert!(sources_j > 1e6 && left_over < 1e-10);
 }
 
+/// Half an hour with each of two tools at 20 000 r/min, of a machine that has been warm for long.
+const TOOLS: &str = r#"
+name = "tools"
+measure = ["elongation"]
+interval_s = 60
+[ambient]
+amplitude_c = 0.0
+wander_c = 0.0
+[spindle]
+cells = 20
+holder_lag_s = 600.0
+[thermometer.holder]
+at = "holder"
+[[tool]]
+number = 7
+centrifugal_um_per_krpm2 = 0.02
+[[tool]]
+number = 9
+centrifugal_um_per_krpm2 = -0.01
+[instrument]
+quantum_um = 0.0001
+[[segment]]
+kind = "spindle"
+tool = 7
+spindle_rpm = 20000
+duration_s = 86400
+[[segment]]
+kind = "spindle"
+tool = 9
+spindle_rpm = 20000
+duration_s = 3600
+"#;
+
+#[test]
+fn a_tool_comes_cold_out_of_the_magazine_and_warms_with_the_holders_time_constant() {
+    let table = run(TOOLS, 1);
+    let (tools, holder_c) = (column(&table, "tool"), column(&table, "temp_holder_c"));
+    let change = tools.iter().position(|tool| *tool == 9.0).expect("it is changed");
+    assert_eq!((tools[0], change), (7.0, 1441));
+    let (warm_c, air_c) = (holder_c[change - 1], 20.0);
+    assert!(warm_c - air_c > 2.0, "{warm_c}");
+    // A row is written a minute after the change; 600 s after it 1/e of the way is left.
+    let left = (warm_c - holder_c[change + 9]) / (warm_c - air_c);
+    assert!((left - (-1.0_f64).exp()).abs() < 0.01, "{left}");
+    // What tool 9 grows less at once: 0.03 µm · 20², and what 120 mm of cold holder are short of.
+    let um = column(&table, "measured_elongation_um");
+    let cold_um = 0.12 * 11.5 * (warm_c - holder_c[change]);
+    assert!((um[change - 1] - um[change] - 12.0 - cold_um).abs() < 0.1 * cold_um, "{um:?}");
+}
+
+#[test]
+fn a_tool_that_no_magazine_has_is_refused_with_its_place_and_without_tools_no_column_is_written() {
+    let bad = |text: &str| Scenario::parse(text, Path::new("s.toml")).expect_err(text).to_string();
+    let said = bad(&TOOLS.replace("tool = 9", "tool = 8"));
+    assert!(said.contains("segment[1].tool is 8, which no [[tool]] has"), "{said}");
+    let said = bad(&TOOLS.replace("number = 9", "number = 7"));
+    assert!(said.contains("tool[1].number is 7 a second time"), "{said}");
+    assert!(run(SPINDLE, 1).column("tool").is_none());
+}
+
 /// Three targets, up and down, twice; no heat.
 const AXIS: &str = r#"
 name = "axis"

@@ -73,7 +73,7 @@ fn faults(counter: u16) -> Vec<Fault> {
         Fault::told("read and write", &[23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 2], 1),
         Fault::told("read behind the end", &[4, 0, 27, 0, 2], 2),
         Fault::told("read elsewhere", &[4, 0xFF, 0xFF, 0, 1], 2),
-        Fault::told("read holding behind the end", &[3, 0, 17, 0, 1], 2),
+        Fault::told("read holding behind the end", &[3, 0, 20, 0, 1], 2),
         Fault::told("read nothing", &[4, 0, 0, 0, 0], 3),
         Fault::told("read more than may be", &[4, 0, 0, 0, 126], 3),
         Fault::told("a byte is missing", &[4, 0, 0, 0], 3),

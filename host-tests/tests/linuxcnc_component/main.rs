@@ -8,6 +8,7 @@ mod lathe;
 #[path = "../linuxcnc_rig/mod.rs"]
 mod linuxcnc_rig;
 mod probe;
+mod tools;
 
 use std::{
     fs, thread,

@@ -9,8 +9,8 @@
 //! | pin, channel of the converter | PA1 … PA7, 1 … 7 | PB0, 8 |
 //!
 //! Each trigger converts the next channel (discontinuous mode, section 13.3.10) in the pause that the
-//! sensor leaves, so a channel has 50 codes in 20 ms, a period of the mains, and their mean is what it
-//! delivers. No software is in it until somebody asks for the mean, ten times a second.
+//! sensor leaves, so a channel has 50 codes in 20 ms, a period of mains of 50 Hz, and 125 in 50 ms, three
+//! periods of 60 Hz. Their mean is what it delivers. No software is in it until somebody asks for the mean, ten times a second.
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
@@ -19,19 +19,26 @@ use stm32f4xx_hal::{
     pac::{ADC2, DMA2, adc1::smpr1::SMP10 as Cycles},
     rcc::{Enable, Rcc},
 };
-use trueup_core::thermometer::Raw;
+use trueup_core::{calibration::Mains, thermometer::Raw};
 
 use super::{super::TEMPERATURES, within};
 
-/// Codes of a channel in the ring.
-const CODES: usize = 50;
+/// Codes of a channel in whole periods of the mains.
+const fn codes(mains: Mains) -> usize {
+    match mains {
+        Mains::Hz50 => 50,
+        Mains::Hz60 => MAX_CODES,
+    }
+}
+/// The most of them that the ring has room for.
+const MAX_CODES: usize = 125;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
 const STOP_POLLS: u32 = 200;
 
 /// What the DMA writes: channel 0 to 7, and again. Atomic, so that the compiler expects the values to
 /// change by themselves; in the SRAM of the bus matrix, which the DMA reaches.
-static RING: [AtomicU16; CODES * TEMPERATURES] =
-    [const { AtomicU16::new(0) }; CODES * TEMPERATURES];
+static RING: [AtomicU16; MAX_CODES * TEMPERATURES] =
+    [const { AtomicU16::new(0) }; MAX_CODES * TEMPERATURES];
 
 /// Where the channels come in.
 pub type Pins = (PA1, PA2, PA3, PA4, PA5, PA6, PA7, PB0);
@@ -40,11 +47,13 @@ pub type Pins = (PA1, PA2, PA3, PA4, PA5, PA6, PA7, PB0);
 pub struct LinearInputs {
     adc: ADC2,
     dma: DMA2,
+    /// Codes of a channel in the part of the ring that is in use.
+    codes: usize,
 }
 
 /// Sets it up and starts it; the clock of DMA2 is on, and what the converters share is set up.
 #[allow(unsafe_code, reason = "registers of the DMA, channels of the converter")]
-pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, rcc: &mut Rcc) -> LinearInputs {
+pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, mains: Mains, rcc: &mut Rcc) -> LinearInputs {
     pins.0.into_analog();
     pins.1.into_analog();
     pins.2.into_analog();
@@ -69,13 +78,13 @@ pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, rcc: &mut Rcc) -> LinearIn
     adc.cr1().write(|w| w.scan().enabled().discen().enabled());
     // SAFETY: of the registers that the streams share, only flags are written, each its own.
     let dma = unsafe { DMA2::steal() };
-    let mut inputs = LinearInputs { adc, dma };
+    let mut inputs = LinearInputs { adc, dma, codes: codes(mains) };
     inputs.restart();
     inputs
 }
 
 impl LinearInputs {
-    /// What all channels deliver: the mean of the last 20 ms. [`Raw::NONE`] where the ring has not gone
+    /// What all channels deliver: the mean of the last 20 or 50 ms. [`Raw::NONE`] where the ring has not gone
     /// round since the last time; then it is started anew.
     pub fn take(&mut self) -> [Raw; TEMPERATURES] {
         let status = self.dma.lisr().read();
@@ -90,10 +99,11 @@ impl LinearInputs {
         }
         fence(Ordering::SeqCst);
         core::array::from_fn(|channel| {
-            let codes = RING.iter().skip(channel).step_by(TEMPERATURES);
+            let codes = RING.iter().skip(channel).step_by(TEMPERATURES).take(self.codes);
             let sum: u32 = codes.map(|code| u32::from(code.load(Ordering::Relaxed))).sum();
             // In 1/256 counts: at most 4095 · 256.
-            let mean = (sum * 256 + CODES as u32 / 2) / CODES as u32;
+            let count = self.codes as u32;
+            let mean = (sum * 256 + count / 2) / count;
             // 20 bits.
             Raw(mean.cast_signed())
         })
@@ -115,7 +125,7 @@ impl LinearInputs {
             stream.par().write(|w| w.pa().bits(self.adc.dr().as_ptr() as u32));
             stream.m0ar().write(|w| w.m0a().bits(RING.as_ptr() as u32));
         }
-        stream.ndtr().write(|w| w.ndt().set(RING.len() as u16));
+        stream.ndtr().write(|w| w.ndt().set((self.codes * TEMPERATURES) as u16));
         stream.fcr().reset();
         // DMA2 stream 3 channel 1 is ADC2 (section 10.3.3). It waits for the sensor's.
         stream.cr().write(|w| {

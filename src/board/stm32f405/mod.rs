@@ -173,12 +173,14 @@ pub fn start(
         gpioc.pc7.into_push_pull_output_in_state(High).erase(),
     ];
     let known = calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
+    let mains = calibration.as_ref().map(|it| it.guards.mains).unwrap_or_default();
     let plan = sampling::Plan::at(rcc.clocks.pclk2().raw());
     let mut thermometers = thermometers::start(
         device.SPI2,
         (gpiob.pb13, gpiob.pb14, gpiob.pb15),
         selects,
         known,
+        mains,
         &mut rcc,
     );
     let chain = sampling::Chain {
@@ -193,7 +195,7 @@ pub fn start(
         let pins = (
             gpioa.pa1, gpioa.pa2, gpioa.pa3, gpioa.pa4, gpioa.pa5, gpioa.pa6, gpioa.pa7, gpiob.pb0,
         );
-        let inputs = linear_inputs::start(device.ADC2, pins, plan.others(), &mut rcc);
+        let inputs = linear_inputs::start(device.ADC2, pins, plan.others(), mains, &mut rcc);
         thermometers.set_linear(inputs);
     }
     let serial_number = identity::hash(&device.DBGMCU);

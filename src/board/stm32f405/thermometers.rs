@@ -20,6 +20,7 @@ use stm32f4xx_hal::{
     spi::Spi,
 };
 use trueup_core::{
+    calibration::Mains,
     channels::RawTemperatures,
     thermometer::{Raw, Thermometer},
 };
@@ -71,6 +72,7 @@ pub fn start(
     (sck, miso, mosi): Bus,
     selects: Selects,
     thermometers: [Option<Thermometer>; TEMPERATURES],
+    mains: Mains,
     rcc: &mut Rcc,
 ) -> Thermometers {
     // Pulled up, so that a line with nobody on it reads as 1.
@@ -80,7 +82,7 @@ pub fn start(
     let mut thermometers = thermometers.into_iter();
     let channels = selects.map(|select| Channel {
         select,
-        converter: Converter::default(),
+        converter: Converter::new(mains),
         thermometer: thermometers.next().flatten(),
         changes: 0,
     });

@@ -274,6 +274,16 @@ pub const OBJECTS: &[Object] = &[
             read(5, "Zero of the growth in nm", Type::I32, ObjectKind::Learned(4)),
         ],
     ),
+    record(
+        0x2012,
+        "Tool and conditions",
+        &[
+            count(3),
+            read(1, "Tool", Type::U16, ObjectKind::Tool),
+            read(2, "Conditions", Type::U16, ObjectKind::Conditions),
+            read(3, "0 unknown, 1 from the CNC, 2 lost", Type::U8, ObjectKind::ConditionsOrigin),
+        ],
+    ),
     var(
         0x2020,
         "RMS noise in thousandths of a code",

@@ -19,6 +19,11 @@ impl Asks {
         Ok(Self(StateBits(object::number(session, object::STATE_BITS)?)))
     }
 
+    /// The state that they were read from.
+    pub fn state(&self) -> StateBits {
+        self.0
+    }
+
     /// Whether the calibration is of another machine or board than this one.
     pub fn is_foreign(&self) -> bool {
         self.0.contains(StateBits::FOREIGN_MACHINE)

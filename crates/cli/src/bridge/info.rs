@@ -15,7 +15,7 @@ use trueup_client::{
     port::Port,
     reference::BridgeReference,
     session::Session,
-    words::{fault_words, output_json, output_text, state_word, state_words},
+    words::{fault_words, output_json, output_text, state_word, state_words, waits_for},
     writes,
 };
 use trueup_core::cnc::Output;
@@ -102,6 +102,8 @@ struct Objects {
     reference: BridgeReference,
     /// What was learned, as it is applied, in words; `None`: nothing.
     learned: Option<String>,
+    /// Tool and conditions that its terms go by, in words; `None`: they need none.
+    conditions: Option<String>,
     faults: Vec<&'static str>,
     state: Vec<&'static str>,
     asks: Asks,
@@ -128,6 +130,7 @@ impl Objects {
             ),
             reference: BridgeReference::ask(session)?,
             learned: learned(session),
+            conditions: conditions(session),
             faults: fault_words(object::faults(session)?),
             state: state_words(StateBits(object::number(session, object::STATE_BITS)?)),
             asks: Asks::of(session)?,
@@ -168,6 +171,20 @@ fn learned(session: &mut Session) -> Option<String> {
     let amounts =
         object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
     live::text(&amounts)
+}
+
+/// Tool and conditions, in words. A bridge from before it could hear them knows nothing of them.
+fn conditions(session: &mut Session) -> Option<String> {
+    let [tool, bits, origin] =
+        object::CONDITIONS.map(|at| object::number(session, at).unwrap_or_default());
+    let held: Vec<String> =
+        (0..16).filter(|bit| bits & 1 << bit != 0).map(|bit| bit.to_string()).collect();
+    let held = if held.is_empty() { "none".into() } else { format!("bit {}", held.join(", ")) };
+    match origin {
+        1 => Some(format!("tool {tool}; conditions that hold: {held}")),
+        2 => Some("lost: by the defaults of the calibration".into()),
+        _ => None,
+    }
 }
 
 /// Where the last start stopped, in words that follow its reason; empty: nothing is known of it.
@@ -298,6 +315,7 @@ impl Info {
     fn json(&self, objects: Option<&Objects>) -> Value {
         let crc = |crc: u32| (crc != 0).then(|| format!("{crc:08x}"));
         let mut all = output_json(self.output.as_ref());
+        all["waiting_for"] = json!(self.waits_for(objects));
         all["version"] = json!(self.version);
         all["serial"] = json!(self.serial);
         all["heartbeat"] = json!(self.heartbeat.map(state_word));
@@ -315,6 +333,7 @@ impl Info {
         all["reference"] = json!(objects.map(|it| it.reference.json()));
         all["asks"] = json!(objects.map(|it| it.asks.words()));
         all["learned"] = json!(objects.and_then(|it| it.learned.as_ref()));
+        all["conditions"] = json!(objects.and_then(|it| it.conditions.as_ref()));
         all["faults"] = json!(objects.map(|it| &it.faults));
         all["state"] = json!(objects.map(|it| &it.state));
         all["reset_reason"] = json!(objects.map(|it| it.reset.word()));
@@ -322,6 +341,12 @@ impl Info {
         all["resets"] =
             json!(objects.map(|it| it.resets.iter().copied().collect::<BTreeMap<_, _>>()));
         all
+    }
+
+    /// For whom the bridge waits that gives no offset.
+    fn waits_for(&self, objects: Option<&Objects>) -> Option<&'static str> {
+        let objects = objects?;
+        waits_for(self.output.as_ref()?.quality, objects.asks.state(), Some(objects.calibration))
     }
 
     fn print(&self, objects: Option<&Objects>) -> Result<()> {
@@ -338,7 +363,8 @@ impl Info {
         };
         output::print(format_args!("heartbeat    {heartbeat}"))?;
         let offsets = self.output.as_ref().map_or_else(|| missing.clone(), output_text);
-        output::print(format_args!("offsets      {offsets}"))?;
+        let waits = self.waits_for(objects).map(|what| format!("waiting for {what}: "));
+        output::print(format_args!("offsets      {}{offsets}", waits.unwrap_or_default()))?;
         let Some(it) = objects else { return Ok(()) };
         let Objects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
@@ -347,6 +373,9 @@ impl Info {
         output::print(format_args!("reference    {}", it.reference.text()))?;
         let learned = it.learned.as_deref().unwrap_or("nothing beside the calibration");
         output::print(format_args!("learned      {learned}"))?;
+        if let Some(conditions) = &it.conditions {
+            output::print(format_args!("conditions   {conditions}"))?;
+        }
         let faults = if it.faults.is_empty() { "none".into() } else { it.faults.join(" ") };
         output::print(format_args!("faults       {faults}"))?;
         let state = if it.state.is_empty() { "all well".into() } else { it.state.join(" ") };

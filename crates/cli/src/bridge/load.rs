@@ -14,6 +14,7 @@ use trueup_client::{
     load::{self, Step},
     object::{self, NEW_CRC, QUALITY, RUNNING_CRC},
     port::Port as Line,
+    previous::PreviousCalibration,
     reference::BridgeReference,
     session::Session,
     words::quality_word,
@@ -33,8 +34,11 @@ use crate::{Outcome, UserError, files, output, report, show::MOST_BYTES};
 #[derive(Args)]
 pub struct Load {
     /// The calibration, as `compile` writes it.
-    #[arg(value_name = "CAL.bin")]
-    calibration: PathBuf,
+    #[arg(value_name = "CAL.bin", required_unless_present = "previous")]
+    calibration: Option<PathBuf>,
+    /// Load the calibration that the board ran on before, where this computer has loaded the present one.
+    #[arg(long, conflicts_with = "calibration")]
+    previous: bool,
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
@@ -89,12 +93,16 @@ impl Loaded {
 pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
     trueup_output::best_effort();
-    let blob = read(&args.calibration)?;
+    let named = args.calibration.as_deref().map(read).transpose()?;
     args.how.can_ask(as_json)?;
     let mut session = Session::open(&Line::parse(&args.port.port)?)?;
-    let loaded = put(&mut session, &blob, args.how);
+    let blob = match named {
+        Some(blob) => Ok(blob),
+        None => previous(&mut session).and_then(|path| read(&path)),
+    };
+    let loaded = blob.and_then(|blob| Ok((put(&mut session, &blob, args.how)?, blob)));
     session.close();
-    let loaded = loaded?;
+    let (loaded, blob) = loaded?;
     let is_met = loaded.is_met(args.how);
     let Loaded { crc, running, differences, references: [before, after], asks } = loaded;
     let keep_running = args.how.keep_running;
@@ -150,6 +158,34 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(whole(&bytes).map_err(|error| bad(error.to_string()))?.to_vec())
 }
 
+/// The file with the calibration that the bridge ran on before the present one.
+fn previous(session: &mut Session) -> Result<PathBuf> {
+    let running = object::number(session, RUNNING_CRC)?;
+    let board = object::number(session, object::SERIAL_NUMBER)?;
+    let place = PreviousCalibration::of(board);
+    if let Some(path) = place.as_ref().and_then(|place| place.find(running)) {
+        return Ok(path);
+    }
+    let place = place.map_or("no folder for states".into(), |it| it.folder().display().to_string());
+    bail!(UserError(format!(
+        "this computer has no calibration that {running:08x} has replaced on this board ({place}): it was loaded \
+         elsewhere, or is the board's first. trueup bridge info lists what was loaded; load its file, or a backup (trueup \
+         bridge restore)"
+    )))
+}
+
+/// Keeps the calibration that was replaced. That it cannot be kept is no fault of the load.
+fn keep_previous(session: &mut Session, replaced: &[u8], by: u32) {
+    let Ok(board) = object::number(session, object::SERIAL_NUMBER) else { return };
+    let Some(place) = PreviousCalibration::of(board) else { return };
+    if let Err(error) = place.keep(replaced, by) {
+        report::warn(format_args!(
+            "the calibration before is not kept for --previous: {}: {error}",
+            place.folder().display()
+        ));
+    }
+}
+
 /// Shows what `blob` changes, asks, and loads it; unless `keep_running`, the board then restarts with it.
 pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
     let crc = identity(blob);
@@ -170,7 +206,7 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
             "the calibration {waiting:08x} was loaded before and never used; this one takes its place"
         ));
     }
-    let differences = who::differences(session, blob)?;
+    let (replaced, differences) = who::replaced(session, blob)?;
     let before = BridgeReference::ask(session)?;
     match &differences {
         None => trueup_output::diagnostic("the bridge has no calibration to compare with"),
@@ -201,6 +237,9 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
         bail!(UserError("not loaded: you have not said yes".into()));
     }
     store(session, blob, crc)?;
+    if let Some(replaced) = replaced {
+        keep_previous(session, &replaced, crc);
+    }
     let running = match how.keep_running {
         true => object::number(session, RUNNING_CRC)?,
         false => match load::restart(session, crc) {

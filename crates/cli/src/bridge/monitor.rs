@@ -3,6 +3,7 @@
 use std::{
     io::{IsTerminal as _, stdin},
     path::PathBuf,
+    time::Duration,
 };
 
 use anyhow::Result;
@@ -15,6 +16,9 @@ use trueup_screen::{
 
 use super::{Port, plain, who};
 use crate::Outcome;
+
+/// A picture is drawn after so many seconds, unless --count says another number.
+const PICTURE_S: u64 = 5;
 
 #[derive(Args)]
 pub struct Monitor {
@@ -44,6 +48,9 @@ pub struct Monitor {
     /// Its speed on a serial line, in Bd.
     #[arg(long, value_name = "BD", default_value_t = 9_600)]
     indicator_baud: u32,
+    /// Watch for as many seconds as --count says (5), and write the screen as a picture (SVG).
+    #[arg(long, value_name = "FILE.svg", conflicts_with_all = ["plain", "record"])]
+    picture: Option<PathBuf>,
     /// Lines even on a terminal.
     #[arg(long)]
     plain: bool,
@@ -70,7 +77,8 @@ enum IndicatorUnit {
 /// Shows the bridge, or prints a line a second.
 pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
     let is_screen = trueup_output::is_output_terminal() && stdin().is_terminal();
-    if as_json || args.plain || args.count.is_some() || !is_screen {
+    let is_picture = args.picture.is_some();
+    if !is_picture && (as_json || args.plain || args.count.is_some() || !is_screen) {
         let record = args.record.as_deref().map(|record| (record, args.machine.as_deref()));
         return plain::run(&args.port.port, args.count, record, args.strict, as_json);
     }
@@ -96,6 +104,10 @@ pub fn run(args: &Monitor, as_json: bool) -> Result<Outcome> {
             baud: args.indicator_baud,
             unit,
         }),
+        picture: args
+            .picture
+            .clone()
+            .map(|path| (path, Duration::from_secs(args.count.unwrap_or(PICTURE_S)))),
     })?;
     Ok(if is_sound { Outcome::Done } else { Outcome::NotMet })
 }

@@ -2,7 +2,9 @@
 //! says of itself; on request, all of it written down.
 
 use std::{
+    fmt,
     path::Path,
+    thread,
     time::{Duration, Instant, SystemTime},
 };
 
@@ -14,7 +16,7 @@ use trueup_client::{
     record::Recorder,
     session::Session,
     status::Board,
-    words::{output_json, output_text},
+    words::{output_json, output_text, waits_for},
 };
 use trueup_core::cnc::Output;
 use trueup_link::{
@@ -29,6 +31,8 @@ use crate::{Outcome, UserError, output};
 
 /// From one line to the next.
 const PERIOD: Duration = Duration::from_secs(1);
+/// Between two tries to open a line that was lost.
+const REOPEN_PAUSE: Duration = Duration::from_millis(250);
 /// Without any offsets for so many lines there is nothing to monitor.
 const SILENT_LINES: u32 = 3;
 
@@ -47,9 +51,9 @@ pub fn run(
         Some(machine) if is_strict => Some(compile(&MachineFile::read(machine)?)?.crc()),
         machine => machine.and_then(compiled_crc),
     };
-    let mut session = Session::open(&port)?;
+    let mut line = Session::open(&port)?;
     let calibration = Calibration { expected, is_strict };
-    let running = record.map(|_| calibration.ask(&mut session)).transpose()?;
+    let running = record.map(|_| calibration.ask(&mut line)).transpose()?;
     let mut recorder = record
         .map(|(path, machine)| Recorder::begin(path, machine, port.interface(), None))
         .transpose()?;
@@ -60,19 +64,28 @@ pub fn run(
     let mut tally = Tally::default();
     let mut outcome = Outcome::Done;
     let mut silent_lines = 0;
+    // While it is lost it is opened again, if something is recorded.
+    let mut session = Some(line);
     let start = Instant::now();
     let mut line_start = start;
     let mut lines = 0_u64;
     while count.is_none_or(|count| lines < count) {
         let line_end = line_start + PERIOD;
-        while let Some(event) = session.next_event(line_end)? {
-            tally.hear(&event);
-            if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
-                recorder.hear(frame, SystemTime::now())?;
-                // It may have been given another one.
-                if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
-                    recorder.runs(calibration.ask(&mut session)?);
+        match &mut session {
+            Some(open) => {
+                let heard = listen(open, line_end, &mut tally, recorder.as_mut(), &calibration);
+                match (heard, &recorder) {
+                    (Err(error), Some(_)) if error.is::<LineLost>() => {
+                        trueup_output::diagnostic(format_args!(
+                            "{error:#}: it is opened again, and the recording goes on with a gap"
+                        ));
+                        session = None;
+                    }
+                    (heard, _) => heard?,
                 }
+            }
+            None => {
+                session = reopened(&port, line_end, recorder.as_mut(), &calibration)?;
             }
         }
         if let Some(recorder) = &mut recorder {
@@ -85,10 +98,10 @@ pub fn run(
         if as_json {
             output::print(second.json(now - start, &tally.board))?;
         } else {
-            output::print(second.text() + &tally.board.text())?;
+            output::print(second.text(&tally.board) + &tally.board.text())?;
         }
         silent_lines = if second.output.is_none() { silent_lines + 1 } else { 0 };
-        if silent_lines == SILENT_LINES {
+        if silent_lines == SILENT_LINES && recorder.is_none() {
             let hint = match tally.frames {
                 0 => "no frame came; does the board sample, does its plant run?",
                 _ => "frames came, but no valid pair of offsets",
@@ -103,11 +116,71 @@ pub fn run(
             break;
         }
     }
-    session.close();
+    if let Some(session) = session {
+        session.close();
+    }
     if let Some(recorder) = &recorder {
         trueup_output::diagnostic(recorder.summary());
     }
     Ok(outcome)
+}
+
+/// The line to the bridge is broken.
+#[derive(Debug)]
+struct LineLost;
+
+impl fmt::Display for LineLost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the line is lost")
+    }
+}
+
+/// Takes what comes until `line_end`.
+fn listen(
+    session: &mut Session,
+    line_end: Instant,
+    tally: &mut Tally,
+    mut recorder: Option<&mut Recorder>,
+    calibration: &Calibration,
+) -> Result<()> {
+    // Without a recording it is an error as it stands.
+    let goes_on = recorder.is_some();
+    let next = |session: &mut Session| match session.next_event(line_end) {
+        Err(error) if goes_on => Err(error.context(LineLost)),
+        other => other,
+    };
+    while let Some(event) = next(session)? {
+        tally.hear(&event);
+        if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
+            recorder.hear(frame, SystemTime::now())?;
+            // It may have been given another one.
+            if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
+                recorder.runs(calibration.ask(session)?);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The line, opened again, if that is possible until `line_end`.
+fn reopened(
+    port: &Port,
+    line_end: Instant,
+    recorder: Option<&mut Recorder>,
+    calibration: &Calibration,
+) -> Result<Option<Session>> {
+    while Instant::now() < line_end {
+        if let Ok(mut session) = Session::open(port) {
+            trueup_output::diagnostic("the line is open again");
+            // Another board may be behind it.
+            if let Some(recorder) = recorder {
+                recorder.runs(calibration.ask(&mut session)?);
+            }
+            return Ok(Some(session));
+        }
+        thread::sleep(REOPEN_PAUSE.min(line_end.saturating_duration_since(Instant::now())));
+    }
+    Ok(None)
 }
 
 /// The calibration that the bridge should run.
@@ -216,9 +289,12 @@ impl Second {
             && self.refused_statuses == 0
     }
 
-    fn text(&self) -> String {
+    fn text(&self, board: &Board) -> String {
         let output = match &self.output {
-            Some(output) => output_text(output),
+            Some(output) => match waits_for(output.quality, board.state, board.calibration) {
+                Some(what) => format!("waiting for {what}: {}", output_text(output)),
+                None => output_text(output),
+            },
             None => "no offsets came".into(),
         };
         let Counters { malformed, crc_errors, sequence_errors, lost, .. } = self.counters;
@@ -242,6 +318,8 @@ impl Second {
         line["lost"] = json!(lost);
         line["unpaired"] = json!(self.unpaired);
         line["refused_statuses"] = json!(self.refused_statuses);
+        let waits = |it: &Output| waits_for(it.quality, board.state, board.calibration);
+        line["waiting_for"] = json!(self.output.as_ref().and_then(waits));
         line["board"] = board.json();
         line
     }

@@ -11,6 +11,14 @@ use crate::report;
 /// What differs between the calibration that the bridge runs on and `new`, a sentence each; `None`: it has
 /// no valid one, or gives none that this tool understands.
 pub fn differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<String>>> {
+    Ok(replaced(session, new)?.1)
+}
+
+/// The calibration that a bridge runs on, and what differs from it.
+pub type Replaced = (Option<Vec<u8>>, Option<Vec<String>>);
+
+/// The same, and the calibration that the bridge runs on.
+pub fn replaced(session: &mut Session, new: &[u8]) -> Result<Replaced> {
     let bar = bar("reading the bridge's calibration", 0);
     let old = load::running(session, |got, of| {
         if let Some(of) = of {
@@ -19,11 +27,12 @@ pub fn differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<Strin
         bar.set_position(got as u64);
     });
     bar.finish_and_clear();
-    let Some(old) = old? else { return Ok(None) };
-    Ok(match (decode(&old), decode(new)) {
+    let Some(old) = old? else { return Ok((None, None)) };
+    let differences = match (decode(&old), decode(new)) {
         (Ok(old), Ok(new)) => Some(changes(&old, &new)),
         _ => None,
-    })
+    };
+    Ok((Some(old), differences))
 }
 
 /// This tool's.

@@ -49,7 +49,7 @@ pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> 
     }
     let mut spread = |name: &str, spread: Option<Spread>| {
         if let Some(Spread { rms_um, max_um }) = spread {
-            lines.push(format!("{name}: {rms_um:.3} um RMS, at most {max_um:.3} um"));
+            lines.push(format!("{name}: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
         }
     };
     spread("measured", report.before);

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use trueup_fit::straightness::table1::{Asked, Entry, Left, Row, Table1, table1};
 
 use super::{Input, args};
-use crate::{Outcome, output};
+use crate::{Outcome, origin, output};
 
 /// Makes the table, prints it, and writes the page.
 pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
@@ -21,7 +21,8 @@ pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
     };
     let table = table1(&input.runs, &asked)?;
     let inputs: Vec<&Path> = run.iter().chain(machine).map(PathBuf::as_path).collect();
-    output::write_whole(&args.output, &inputs, |out| out.write_all(table.html().as_bytes()))?;
+    let html = table.html(&origin::of(&inputs)?);
+    output::write_whole(&args.output, &inputs, |out| out.write_all(html.as_bytes()))?;
     if as_json {
         output::print(json_of(&table, &args.output))?;
     } else {
@@ -55,7 +56,7 @@ fn said(Left { residual, over_a_metre_um }: &Left) -> String {
     // + 0.0 turns -0 into 0.
     let mean_um = (residual.mean_um * 100.0).round() / 100.0 + 0.0;
     format!(
-        "range {:.2} um, mean {mean_um:.2} um, mean square {:.2} um2, {over_a_metre_um:.2} um in any metre",
+        "range {:.2} µm, mean {mean_um:.2} µm, mean square {:.2} µm², {over_a_metre_um:.2} µm in any metre",
         residual.range_um, residual.mean_square_um2
     )
 }

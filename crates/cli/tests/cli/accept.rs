@@ -70,4 +70,24 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
     put("on.csv", &run(0.05).replace(",12000,", ",6000,"));
     let (_, _, said) = accept(folder.path(), &[]);
     assert!(said.contains("did not turn alike"), "{said}");
+    // And so are another tool, and a condition of the machine file.
+    let with = |factor: f64, cells: &str| {
+        let text = run(factor);
+        let (head, rows) = text.split_once('\n').expect("a header");
+        let rows: String = rows.lines().map(|row| format!("{row},{cells}\n")).collect();
+        format!("{head},tool,door_open\n{rows}")
+    };
+    put("off.csv", &with(1.0, "7,0"));
+    put(
+        "m.toml",
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ndoor_open = { kind = \"condition\", bit = 0 }\n",
+    );
+    for (cells, said_of) in
+        [("7,0", None), ("9,0", Some("The tools were not")), ("7,1", Some("door_open was not"))]
+    {
+        put("on.csv", &with(0.05, cells));
+        let (_, _, said) = accept(folder.path(), &["--machine", "m.toml"]);
+        assert_eq!(said.contains("not alike"), said_of.is_some(), "{cells}: {said}");
+        assert!(said_of.is_none_or(|it| said.contains(it)), "{cells}: {said}");
+    }
 }

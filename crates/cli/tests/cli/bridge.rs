@@ -54,7 +54,7 @@ fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
 
     let heard = heard.lock().expect("nobody panics with it");
     assert_eq!(heard.frames, 0, "a monitor must not take part");
-    assert_eq!(heard.bytes, b"\rC\rS8\rO\rC\r", "it opens, listens and closes");
+    assert_eq!(heard.bytes, b"\rC\rS8\rZ0\rO\rC\r", "it opens, listens and closes");
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn a_line_that_is_silent_or_breaks_is_told() {
     let (port, _) = bridge(Fault::Silent);
     let (out, err) = monitor(&port, "1", 1);
     assert_eq!(out, "");
-    assert!(err.starts_with("error: the bridge has answered 0 of 4 lines in 3 s"), "{err}");
+    assert!(err.starts_with("error: the bridge has answered 0 of 5 lines in 3 s"), "{err}");
 
     let (port, _) = bridge(Fault::Leaves);
     let (_, err) = monitor(&port, "9", 1);
@@ -233,6 +233,51 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
 }
 
 #[test]
+fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
+    let (desk, crc) = other();
+    let (port, _) = bridge_many(Fault::None, false);
+    let before = identity(paper().blob());
+    let running = |out: &str| json_lines(out)[0]["running_crc"].clone();
+    // Nothing was loaded from here yet.
+    let (_, err) = desk.said(&format!("bridge load --previous --yes --port {port}"), 2);
+    assert!(err.contains(&format!("no calibration that {before:08x} has replaced")), "{err}");
+    desk.said(&format!("bridge load cal.bin --yes --port {port}"), 0);
+    // Back, and forth again.
+    for crc in [before, crc] {
+        let (out, _) = desk.said(&format!("bridge load --previous --yes --json --port {port}"), 0);
+        assert_eq!(running(&out), format!("{crc:08x}"));
+    }
+    let (_, err) = desk.said(&format!("bridge load cal.bin --previous --yes --port {port}"), 2);
+    assert!(err.contains("cannot be used with"), "{err}");
+}
+
+#[test]
+fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
+    // A CNC that is engaged, on its own line.
+    let (port, heard) = bridge_many(Fault::None, true);
+    monitor(&port, "1", 0);
+    let before = heard.lock().expect("nobody panics with it").bytes.len();
+    let (out, err) = said(&format!("bridge disengage --port {port}"), 3);
+    assert_eq!(out, "");
+    assert!(err.contains("a CNC commands this bridge and follows its offset, x +0.00"), "{err}");
+    let sent = heard.lock().expect("nobody panics with it").bytes[before..].to_vec();
+    let control = sent.windows(4).any(|bytes| bytes == b"t302");
+    assert!(!control, "it must not speak as a CNC: {}", sent.escape_ascii());
+
+    // It has gone: its offset would be held for 2 s. It goes back at 20 µm/s, and never faster.
+    let (port, _) = bridge_many(Fault::CncLeaves, true);
+    monitor(&port, "1", 0);
+    let (out, err) = said(&format!("bridge disengage --port {port}"), 0);
+    assert!(out.starts_with("disengaged: the offset went from x +0.00, y +0.00, z +12.3"), "{out}");
+    assert!(err.contains("goes to 0 at the slew limit"), "{err}");
+    let (out, _) = said(&format!("bridge disengage --json --port {port}"), 0);
+    assert_eq!(
+        json_lines(&out)[0],
+        serde_json::json!({"done": "nothing", "offset_um": [0.0, 0.0, 0.0]})
+    );
+}
+
+#[test]
 fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
     let (desk, _) = other();
     for (fault, engage, phrases) in [
@@ -321,6 +366,34 @@ fn a_recording_is_a_log_of_every_frame_and_a_run_file() {
     record("1 --record bus.log", 0);
     let run = RunFile::read(&desk.path("bus.csv")).expect("a run file");
     assert!(run.column("temp_channel7_c").is_some() && run.column("elongation_um").is_some());
+}
+
+#[test]
+fn a_recording_goes_on_when_the_line_comes_back() {
+    let desk = Desk::new(&[]);
+    // It closes the line 1.3 s after it was opened, each time.
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = format!("tcp:{}", listener.local_addr().expect("bound above"));
+    thread::spawn(move || {
+        for stream in listener.incoming().flatten().take(2) {
+            stream.set_nonblocking(true).expect("a plain socket");
+            stream.set_nodelay(true).expect("a plain socket");
+            live(stream, Fault::Leaves, || true, &Arc::default());
+        }
+    });
+    let line = format!("bridge monitor --port {port} --count 4 --record run.csv");
+    let (_, err) = desk.said(&line, 3);
+    for phrase in ["the recording goes on with a gap", "the line is open again", " rows in run.csv"]
+    {
+        assert!(err.contains(phrase), "{phrase}: {err}");
+    }
+    let run = RunFile::read(&desk.path("run.csv")).expect("a run file");
+    let time_s = run.column("time_s").expect("times");
+    // Twice a second of rows, and the time of the gap between them.
+    assert!(run.rows() > 12, "{} rows", run.rows());
+    assert!(time_s.windows(2).all(|pair| pair[1] > pair[0]), "{time_s:?}");
+    let gap_s = time_s.windows(2).map(|pair| pair[1] - pair[0]).fold(0.0, f64::max);
+    assert!((0.15..3.0).contains(&gap_s), "{gap_s} s");
 }
 
 #[cfg(not(all(feature = "socketcan", target_os = "linux")))]

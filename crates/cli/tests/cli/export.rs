@@ -68,7 +68,7 @@ fn what_is_left_out_ends_with_3_and_stands_in_the_json() {
 fn a_fanuc_export_that_is_off_by_micrometres_ends_with_3() {
     let desk = desk_with(PITCH);
     let (out, _) = desk.said("export m.toml --format fanuc -o out", 3);
-    assert!(out.contains("each value is given out at once") && out.contains("2.5 um off"), "{out}");
+    assert!(out.contains("each value is given out at once") && out.contains("2.5 µm off"), "{out}");
     assert!(desk.path("out/PITCH.TXT").exists());
 }
 
@@ -88,7 +88,7 @@ fn options_reach_the_files_and_wrong_ones_are_refused() {
     desk.said(line, 0);
     let eec = desk.text("out/AX_EEC.INI");
     assert!(eec.contains("$AA_ENC_COMP[0,1,AX1]=0\n"), "0 at the reference point: {eec}");
-    assert!(eec.contains("$AA_ENC_COMP[0,0,AX1]=-0.0000787\n"), "-2 um in inches: {eec}");
+    assert!(eec.contains("$AA_ENC_COMP[0,0,AX1]=-0.0000787\n"), "-2 µm in inches: {eec}");
     for (wrong, rule) in [
         ("--travel x=5:1", "the smaller first"),
         ("--travel a=0:1", "must begin with x=, y= or z="),

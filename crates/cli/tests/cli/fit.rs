@@ -155,7 +155,7 @@ fn pitch_and_backlash_of_real_axes() {
         .collect();
     desk.write("unseen.csv", unseen.join("\n"));
     let rms = desk.predicted_rms("out.toml", "unseen.csv", "dx");
-    println!("x, on repeats that were not fitted: {rms:.2} um RMS");
+    println!("x, on repeats that were not fitted: {rms:.2} µm RMS");
     assert!(rms < 5.5, "{rms}");
     let (out, _) = desk.said("fit backlash --run x.csv --machine m.toml -o lash.toml", 0);
     println!("{out}");
@@ -205,7 +205,7 @@ fn a_gantry_with_two_drives_gets_both_tables_and_one_run_says_which_stays() {
     println!("{out}");
     for run in ["one.csv", "two.csv", "between.csv"] {
         let rms = desk.predicted_rms("both.toml", run, "dx");
-        assert!(rms < 0.6, "{run}: {rms} um");
+        assert!(rms < 0.6, "{run}: {rms} µm");
     }
     let axis = &desk.machine("both.toml").axes[0];
     assert!((axis.backlash.expect("written").width_um - 4.0).abs() < 0.3);
@@ -251,7 +251,7 @@ fn straightness_of_a_real_bed() {
         desk.said("fit straightness --run even.csv --machine m.toml -o out.toml --json", 0);
     let coefficients = number(&json, "/facts/coefficients");
     let rms = desk.predicted_rms("out.toml", "odd.csv", "dz");
-    println!("bed: {coefficients} coefficients, on the odd points {rms:.3} um RMS");
+    println!("bed: {coefficients} coefficients, on the odd points {rms:.3} µm RMS");
     assert!(rms < 0.8 && coefficients < 40.0, "{coefficients}: {rms}");
     // A tolerance below the noise is not reached, and that is said.
     let line = "fit straightness --run even.csv --tolerance-um 0.001 -o tight.toml";
@@ -289,7 +289,7 @@ fn ways_to_a_curve_stand_side_by_side_on_curves_and_diagonals() {
     for entry in ["z_of_x, 60", "z_of_y, 60", "dz on the diagonal of x and y, 60"] {
         assert!(out.contains(&format!("{entry} positions\n  without: range ")), "{out}");
     }
-    assert_eq!(out.matches("  straight lines: range 0.00 um, mean 0.00 um").count(), 3, "{out}");
+    assert_eq!(out.matches("  straight lines: range 0.00 µm, mean 0.00 µm").count(), 3, "{out}");
     assert!(desk.text("t.html").contains("<svg"));
     let (json, _) = desk.said(&format!("{line} --json"), 0);
     // Along the diagonal each axis has 1/√2 of the feed.

@@ -23,7 +23,8 @@ fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
             "+12.32 µm",
             "1.7869 V",
             "727.50 codes",
-            "+12.32\n",
+            "given to the CNC      +0.00      +0.00     +12.32",
+            "noise 0.",
             "No faults",
             "q quit",
         ]);
@@ -63,6 +64,25 @@ fn without_a_machine_file_it_reads_the_boards_own_calibration() {
 }
 
 #[test]
+fn the_screen_is_written_as_a_picture_without_a_terminal() {
+    let desk = Desk::new(&[("m.toml", PAPER)]);
+    let (port, _) = bridge_many(Fault::None, true);
+    let line = format!("bridge monitor --port {port} --machine m.toml --picture s.svg --count 3");
+    assert!(is_ended(desk.trueup(&line).status.code()));
+    let picture = desk.text("s.svg");
+    for text in [
+        "<svg xmlns",
+        "LIVE",
+        "every input is fresh",
+        "+12.32 µm",
+        "growth, µm, the last",
+        "</svg>",
+    ] {
+        assert!(picture.contains(text), "{text}: {picture}");
+    }
+}
+
+#[test]
 fn r_records_and_g_writes_readings_typed_and_live() {
     let desk = Desk::new(&[("m.toml", PAPER)]);
     let (port, _) = bridge_many(Fault::None, true);
@@ -77,14 +97,22 @@ fn r_records_and_g_writes_readings_typed_and_live() {
     terminal.press("g");
     terminal.shows(&["press r first"]);
     terminal.press("r");
-    terminal.shows(&["recording to bridge-", "end recording"]);
+    terminal.shows(&["REC  bridge-", " rows", "end recording"]);
     terminal.press("g-3.5\r");
     terminal.shows(&["-3.50 µm written down"]);
     thread::sleep(Duration::from_millis(300));
     gauge.write_all(b"01A+0.0125\r").expect("it is connected");
     terminal.shows(&["gauge elongation +12.50 µm"]);
     terminal.press("g");
-    terminal.shows(&["+12.50 µm written down"]);
+    terminal.shows(&["+12.50 µm written down", "2 readings"]);
+    thread::sleep(Duration::from_millis(300));
+    // A slip, and taken out again.
+    terminal.press("u");
+    terminal.shows(&["+12.50 µm taken out again", "1 reading"]);
+    gauge.write_all(b"01A+0.0125\r").expect("it is connected");
+    thread::sleep(Duration::from_millis(100));
+    terminal.press("g");
+    terminal.shows(&["2 readings"]);
     thread::sleep(Duration::from_millis(300));
     terminal.press("r");
     terminal.shows(&[" rows in "]);

@@ -33,22 +33,28 @@ impl Bridge<'_> {
 
     /// Returns whether none has come for so long that none is to be expected.
     pub(super) fn conditions_are_lost(&self, state: &State) -> bool {
-        let longest_ms = self.calibration.limits.link_timeout_ms;
-        state.conditions.age_ms > longest_ms.saturating_mul(CONDITIONS_TIMEOUTS)
+        state.conditions.age_ms > self.needs.conditions_ms
     }
 
     /// Returns whether the offset can be followed: they are known, or were held long enough and the defaults stand
     /// in for them.
     #[inline]
-    pub(super) fn knows_conditions(&self, state: &mut State) -> bool {
-        !self.needs.conditions || self.awaits_no_conditions(state)
+    pub(super) fn knows_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+        !self.needs.conditions || self.awaits_no_conditions(state, elapsed_ms)
     }
 
-    #[inline(never)]
-    fn awaits_no_conditions(&self, state: &mut State) -> bool {
-        if !self.conditions_are_lost(state) {
-            return state.conditions.last.is_some();
+    #[inline]
+    fn awaits_no_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
+        state.conditions.grow_older(elapsed_ms);
+        if self.conditions_are_lost(state) {
+            return self.goes_by_defaults(state);
         }
+        state.conditions.last.is_some()
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn goes_by_defaults(&self, state: &mut State) -> bool {
         if !state.conditions.by_default && !state.is_held(self.calibration.limits.hold_ms) {
             state.conditions.by_default = true;
             self.select_category(state, None);

@@ -1,11 +1,12 @@
 //! The inputs without which a calibration cannot be followed.
 
+use super::CONDITIONS_TIMEOUTS;
 use crate::{
     calibration::{AXIS_PAIRS, Calibration, ElongationSource},
     cnc::LinearAxis,
     dimensions::CHANNELS,
     set::IndexSet,
-    term::{self, Effect, Factor, OnOff, Target, Tilt, ToolTable},
+    term::{self, Effect, Factor, Target, Tilt, factor},
     thermal_rate::{DEFAULT_TENTHS, RateLimit},
     units::Fine,
 };
@@ -32,12 +33,16 @@ pub(super) struct RequiredInputs {
     pub operating_point: bool,
     /// The tool and the conditions, from the CNC.
     pub conditions: bool,
+    /// How old they may be, in milliseconds.
+    pub conditions_ms: u32,
     /// The terms by category that go by the speed.
     pub category_speed: bool,
     /// Terms that follow a temperature.
     pub heat_terms: IndexSet,
     /// Whether there are terms of the elongation.
     pub terms: bool,
+    /// How many terms a tick has to walk through for it.
+    pub walked_terms: usize,
     /// The source of the elongation that is asked first.
     pub first: Option<ElongationSource>,
 }
@@ -47,11 +52,12 @@ impl RequiredInputs {
         let chain = calibration.spindle.chain;
         let terms = || calibration.terms.iter().flatten();
         let of_elongation = terms().any(|term| term.target == Target::Elongation);
-        let by_speed = terms().any(|it| category(&it.effect) == Some(Factor::Speed2));
+        let by_speed = terms().any(|it| factor(&it.effect) == Some(Factor::Speed2));
         let mut needs = Self {
             rotary: calibration.kinematics.axes.iter().any(Option::is_some)
                 && (of_elongation || chain.iter().any(Option::is_some)),
-            conditions: terms().any(|it| category(&it.effect).is_some()),
+            conditions_ms: calibration.limits.link_timeout_ms.saturating_mul(CONDITIONS_TIMEOUTS),
+            conditions: terms().any(|it| factor(&it.effect).is_some()),
             category_speed: by_speed,
             operating_point: by_speed
                 || terms().any(|it| {
@@ -60,6 +66,7 @@ impl RequiredInputs {
                 }),
             heat_terms: term::heat_terms(&calibration.terms),
             terms: of_elongation,
+            walked_terms: term::walked(&calibration.terms),
             sensor: chain.contains(&Some(ElongationSource::Sensor)),
             position_ms: [u32::MAX; 3],
             first: chain.into_iter().flatten().next(),
@@ -98,7 +105,7 @@ impl RequiredInputs {
                     position(along);
                     position(lever);
                 }
-                (effect, Target::Axis(axis)) if category(&effect) == Some(Factor::Position) => {
+                (effect, Target::Axis(axis)) if factor(&effect) == Some(Factor::Position) => {
                     position(axis);
                 }
                 (Effect::Heat { channel, .. }, _) => needs.temperatures.insert(channel.into()),
@@ -132,16 +139,6 @@ impl RequiredInputs {
         connected.map_or_else(RateLimit::default, |thermometer| {
             RateLimit::new(tenths, thermometer.step(), partners(calibration, channel))
         })
-    }
-}
-
-/// Returns what a term by category is multiplied by; none of another term.
-fn category(effect: &Effect<'_>) -> Option<Factor> {
-    match *effect {
-        Effect::Tool(ToolTable { times, .. }) | Effect::Condition(OnOff { times, .. }) => {
-            Some(times)
-        }
-        _ => None,
     }
 }
 

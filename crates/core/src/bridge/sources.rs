@@ -330,12 +330,14 @@ impl Bridge<'_> {
 
     #[inline(never)]
     fn with_terms(&self, state: &State, plain: Nanometres) -> Nanometres {
-        let spindle = state.spindle.latest();
-        let operating = OperatingPoint {
-            speed: spindle.map(|spindle| spindle.speed),
-            load: spindle.map_or(0, |spindle| i32::from(spindle.load_n).saturating_mul(256)),
+        let terms = self.calibration.terms.get(..self.needs.walked_terms).unwrap_or_default();
+        let operating = match state.spindle.latest() {
+            Some(spindle) if !terms.is_empty() => OperatingPoint {
+                speed: Some(spindle.speed),
+                load: i32::from(spindle.load_n).saturating_mul(256),
+            },
+            _ => OperatingPoint::default(),
         };
-        let terms = &self.calibration.terms;
         term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
     }
 

@@ -209,6 +209,13 @@ impl State {
         self.elongation.filter(|_| self.sensor_is_fresh())
     }
 
+    /// The tool and the conditions that were last heard, where a term needs them; and whether they are lost and the
+    /// defaults stand in.
+    #[must_use]
+    pub fn conditions(&self) -> (Option<Conditions>, bool) {
+        (self.conditions.last, self.conditions.by_default)
+    }
+
     /// Takes by what readings of the converter are to be multiplied; `None`: its supply is not believed.
     pub fn set_supply(&mut self, scale: Option<Scale>) {
         self.supply_is_off = scale.is_none();
@@ -328,7 +335,6 @@ impl State {
     pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
         self.control.age.grow(elapsed_ms);
         self.spindle.age.grow(elapsed_ms);
-        self.conditions.grow_older(elapsed_ms);
         self.tool.age.grow(elapsed_ms);
         for age in &mut self.position_age {
             age.grow(elapsed_ms);

@@ -3,12 +3,14 @@
 use crate::{
     cnc::Conditions,
     dimensions::{CHANNELS, MAX_TERMS},
+    fixed::Scaled,
     heat_memory::{HeatMemory, KeptLag, Key},
     lag::{Lag, SmoothingFactor},
     set::IndexSet,
     term::{
         category::{Factor, OnOff, UNIT_STEP, squared, times},
-        effect::{Effect, Terms},
+        effect::{Effect, Target, Terms},
+        order::factor,
     },
     units::{Fine, Rpm, Temperature},
 };
@@ -33,6 +35,15 @@ fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
     })
 }
 
+/// Returns the binary places of a term by category; 0 of another.
+const fn shift(effect: &Effect<'_>) -> u8 {
+    match effect {
+        Effect::Tool(tools) => tools.shift,
+        Effect::Condition(it) => it.shift,
+        _ => 0,
+    }
+}
+
 /// What the terms remember: their lags, and what heat and time have made of them.
 #[derive(Clone, Debug, Default)]
 pub struct TermStates {
@@ -44,6 +55,10 @@ pub struct TermStates {
     conditions: Option<Option<Conditions>>,
     /// m of the terms by category.
     levels: [i32; MAX_TERMS],
+    /// What those of the elongation add that are not multiplied by its growth, and all their constants.
+    by_category: Fine,
+    /// m of those that are, the first ones; 0 behind them.
+    by_growth: [Scaled; MAX_TERMS],
     /// n of those that go by it.
     speed: Rpm,
 }
@@ -98,6 +113,7 @@ impl TermStates {
                     let lag = lag.get_or_insert(Lag::settled(input));
                     lag.step(input, it.smoothing);
                     *level = it.level(lag.value());
+                    self.sum_up(terms);
                 }
             }
             _ => {}
@@ -116,18 +132,63 @@ impl TermStates {
                 _ => {}
             }
         }
+        self.sum_up(terms);
     }
 
     /// Takes the speed of the spindle; returns whether it is another one.
-    pub fn turn(&mut self, speed: Rpm) -> bool {
-        core::mem::replace(&mut self.speed, speed) != speed
+    pub fn turn(&mut self, terms: &Terms<'_>, speed: Rpm) -> bool {
+        let is_new = core::mem::replace(&mut self.speed, speed) != speed;
+        if is_new {
+            self.sum_up(terms);
+        }
+        is_new
+    }
+
+    /// A level or the speed has changed.
+    #[inline(never)]
+    fn sum_up(&mut self, terms: &Terms<'_>) {
+        let mut sum = Fine::ZERO;
+        let mut by_growth = [Scaled::default(); MAX_TERMS];
+        let mut places = by_growth.iter_mut();
+        for ((index, term), level) in terms.iter().enumerate().zip(self.levels) {
+            let Some(term) = term.as_ref().filter(|it| it.target == Target::Elongation) else {
+                continue;
+            };
+            match factor(&term.effect) {
+                None => continue,
+                Some(Factor::Growth) => {
+                    // What is 0 ends the list, and adds nothing.
+                    if level != 0
+                        && let Some(place) = places.next()
+                    {
+                        *place = Scaled { mantissa: level, shift: shift(&term.effect) };
+                    }
+                }
+                Some(_) => sum = sum.plus(self.category(index, &term.effect, 0)),
+            }
+            sum = sum.plus(term.constant);
+        }
+        (self.by_category, self.by_growth) = (sum, by_growth);
+    }
+
+    /// Returns what the terms by category make of an elongation: `plain` without terms, `made` by all others.
+    #[inline]
+    pub(super) fn with_categories(&self, plain: Fine, made: Fine) -> Fine {
+        let mut p = made.plus(self.by_category);
+        for m in &self.by_growth {
+            if m.mantissa == 0 {
+                break;
+            }
+            p = p.plus(Fine(m.times(plain.0.into())));
+        }
+        p
     }
 
     /// Returns what of it is no heat: what the CNC says.
     #[must_use]
     pub fn without_heat(&self) -> Self {
-        let Self { conditions, levels, speed, .. } = *self;
-        Self { conditions, levels, speed, ..Self::default() }
+        let Self { conditions, levels, by_category, by_growth, speed, .. } = *self;
+        Self { conditions, levels, by_category, by_growth, speed, ..Self::default() }
     }
 
     /// Adds its lags to what outlasts a reset.
@@ -154,17 +215,13 @@ impl TermStates {
 
     /// Returns what term `index`, by category, adds where its growth or position is `x`.
     pub(super) fn category(&self, index: usize, effect: &Effect<'_>, x: i64) -> Fine {
-        let (shift, by) = match effect {
-            Effect::Tool(tools) => (tools.shift, tools.times),
-            Effect::Condition(it) => (it.shift, it.times),
-            _ => return Fine::ZERO,
-        };
+        let Some(by) = factor(effect) else { return Fine::ZERO };
         let x = match by {
             Factor::One => 1,
             Factor::Speed2 => squared(self.speed.0),
             Factor::Growth | Factor::Position => x,
         };
-        Fine(times(self.levels.get(index).copied().unwrap_or_default(), shift, x))
+        Fine(times(self.levels.get(index).copied().unwrap_or_default(), shift(effect), x))
     }
 
     /// What heat or time has made of term `index`; 0 for one of neither.

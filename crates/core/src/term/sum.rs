@@ -4,7 +4,7 @@ use crate::{
     fixed::product,
     place::Place,
     term::{
-        effect::{Effect, Target, Terms},
+        effect::{Effect, Target, Term, Terms},
         states::TermStates,
     },
     units::{Fine, Rpm},
@@ -19,10 +19,23 @@ pub struct OperatingPoint {
     pub load: i32,
 }
 
-/// The elongation with its terms, each applied to what those before it have made.
+/// The elongation with its terms, each applied to what those before it have made; those by category come last, of which
+/// `states` knows all. So `terms` need not be more than those that a tick has to [walk](crate::term::walked) through.
 #[must_use]
+#[inline]
 pub fn elongation(
-    terms: &Terms<'_>,
+    terms: &[Option<Term<'_>>],
+    plain: Fine,
+    states: &TermStates,
+    operating: OperatingPoint,
+) -> Fine {
+    let made = if terms.is_empty() { plain } else { walk(terms, plain, states, operating) };
+    states.with_categories(plain, made)
+}
+
+#[inline(never)]
+fn walk(
+    terms: &[Option<Term<'_>>],
     plain: Fine,
     states: &TermStates,
     operating: OperatingPoint,
@@ -30,7 +43,8 @@ pub fn elongation(
     let mut p = plain;
     for (index, term) in terms.iter().enumerate() {
         let Some(term) = term else { break };
-        if term.target == Target::Elongation {
+        let is_category = matches!(term.effect, Effect::Tool(_) | Effect::Condition(_));
+        if term.target == Target::Elongation && !is_category {
             p = match &term.effect {
                 Effect::Gain(m) => p.plus(Fine(m.times(i64::from(p.0)))),
                 Effect::Curvature(m) => {
@@ -46,9 +60,6 @@ pub fn elongation(
                     p.plus(Fine(m.times(rpm.wrapping_mul(rpm))))
                 }
                 Effect::Load(m) => p.plus(Fine(m.times(i64::from(operating.load)))),
-                effect @ (Effect::Tool(_) | Effect::Condition(_)) => {
-                    p.plus(states.category(index, effect, plain.0.into()))
-                }
                 _ => p,
             }
             .plus(term.constant);

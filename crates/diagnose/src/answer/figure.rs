@@ -26,7 +26,7 @@ impl<'a> Points<'a> {
 fn name(colour: Colour) -> &'static str {
     match colour {
         Colour::Before => "the machine file as it is",
-        Colour::After => "extended",
+        Colour::After => "with the causes found",
         Colour::Measured => "measured",
         Colour::Truth => "true",
     }

@@ -60,6 +60,7 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
             }
         }
     };
+    let next_test = cause.with_repair(next_test);
     let rivals = it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),
         column: rival.cause.column(),

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_page::{Origin, Page, escaped, micrometres, significant, within};
+use trueup_page::{NEXT, Origin, Page, commands, escaped, micrometres, significant, within};
 
 use crate::{
     MISSING_INPUTS,
@@ -13,10 +13,15 @@ use crate::{
     },
 };
 
-pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -> String {
+pub(crate) fn html(
+    diagnosis: &Diagnosis,
+    machine_name: &str,
+    origin: &Origin,
+    next: &[String],
+) -> String {
     let report = &diagnosis.report;
     let mut out = String::new();
-    verdict(diagnosis, &mut out);
+    verdict(diagnosis, next, &mut out);
     let _ = write!(
         out,
         "<h2>What was believed, and what the machine does</h2>\n<p>{} rows of <b>{}</b> were \
@@ -30,7 +35,8 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -
             String::new()
         } else {
             format!(
-                ", the extended one <span class=\"after\">{} RMS</span> (largest {})",
+                "; with every cause below taken off, also what no board corrects, <span class=\"after\">{} RMS</span> \
+                 (largest {}) are left",
                 micrometres(report.after.rms_um),
                 micrometres(report.after.max_um)
             )
@@ -44,24 +50,7 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -
     for finding in &report.findings {
         cause(finding, &mut out);
     }
-    let _ = write!(
-        out,
-        "<h2>The gain on data that nothing was fitted to</h2>\n<div class=\"table\"><table><tr><th></th><th>before</th>\
-         <th>after</th><th>of it corrected by the board</th></tr><tr><td>RMS</td><td>{}</td>\
-         <td>{}</td><td>{}</td></tr></table></div>\n",
-        micrometres(report.before.holdout_rms_um),
-        micrometres(report.after.holdout_rms_um),
-        micrometres(report.after.compensated_holdout_rms_um)
-    );
-    if diagnosis.corrects() {
-        let _ = writeln!(
-            out,
-            "<p>Corrected by the board, by its own arithmetic on the rows above: {} RMS, at most {}.</p>",
-            micrometres(report.after.compensated_rms_um),
-            micrometres(report.after.compensated_max_um)
-        );
-        let _ = writeln!(out, "<p>{}</p>", escaped(&promise(report)));
-    }
+    gain(diagnosis, &mut out);
     if !report.missing_inputs.is_empty() {
         let (what, lines) =
             (sentence_case(MISSING_INPUTS), escaped(&report.missing_inputs.join("\n")));
@@ -99,6 +88,34 @@ pub(crate) fn html(diagnosis: &Diagnosis, machine_name: &str, origin: &Origin) -
     page.html()
 }
 
+/// Before and after: after is always with extended.toml on the board.
+fn gain(diagnosis: &Diagnosis, out: &mut String) {
+    let report = &diagnosis.report;
+    out.push_str("<h2>Before and after</h2>\n");
+    if !diagnosis.corrects() {
+        out.push_str("<p>Nothing is corrected: after is as before.</p>\n");
+        return;
+    }
+    out.push_str(
+        "<p>Before: the machine file as it is. After: extended.toml on the board, in its own arithmetic.</p>\n\
+         <div class=\"table\"><table><tr><th>RMS</th><th>before</th><th>after</th></tr>",
+    );
+    for (of, before_um, after_um) in diagnosis.before_and_after() {
+        let _ = write!(
+            out,
+            "<tr><td>{of}</td><td class=\"before\">{}</td><td class=\"after\">{}</td></tr>",
+            micrometres(before_um),
+            micrometres(after_um)
+        );
+    }
+    let _ = writeln!(
+        out,
+        "</table></div>\n<p>The largest of these rows, after: {}.</p>\n<p>{}</p>",
+        micrometres(report.after.compensated_max_um),
+        escaped(&promise(report))
+    );
+}
+
 fn sentence_case(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
@@ -130,7 +147,7 @@ fn noise_sentence(diagnosis: &Diagnosis) -> String {
 }
 
 /// The verdict in its colour, why it is so, and what must be known beside it.
-fn verdict(diagnosis: &Diagnosis, out: &mut String) {
+fn verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
     let report = &diagnosis.report;
     let _ = writeln!(
         out,
@@ -141,6 +158,7 @@ fn verdict(diagnosis: &Diagnosis, out: &mut String) {
         report.verdict.name()
     );
     list(&report.reasons, out);
+    out.push_str(&commands(NEXT, next));
     out.push_str("</div>\n");
     list(&report.notes, out);
     let not_in = |finding: &&Finding| !finding.compensated;

@@ -71,6 +71,12 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
         Points::dots(&x, &left_after, Colour::After),
     ];
     out.push_str(&picture("What is left: measured minus predicted", &x_name, "µm", &lists));
+    // Next to an error ten times as large nothing of its shape can be seen.
+    if !diagnosis.report.findings.is_empty() {
+        let lists = [Points::dots(&x, &left_after, Colour::After)];
+        let title = "What is left with the causes found, on a scale of its own";
+        out.push_str(&picture(title, &x_name, "µm", &lists));
+    }
     out.push_str("</div>\n");
 }
 

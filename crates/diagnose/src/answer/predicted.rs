@@ -175,7 +175,7 @@ pub(super) fn findings(
             ],
             together_with: others.map(|(_, partner)| partner.clone()).collect(),
             rivals: Vec::new(),
-            next_test: kind.next_test(None).to_string(),
+            next_test: kind.with_repair(kind.next_test(None).to_string()),
         }
     })
     .collect()

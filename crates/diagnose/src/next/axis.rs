@@ -15,7 +15,7 @@ use trueup_machine::{
 };
 use trueup_numerics::robust::median;
 
-use super::foresight::is_input;
+use super::{Gauge, foresight::is_input};
 use crate::data::Data;
 
 /// How many targets; the ends are among them.
@@ -26,9 +26,8 @@ const TIMES: [u32; 5] = [1, 2, 3, 5, 7];
 const HEAT_MIN: [f64; 7] = [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0];
 /// How fast: as `trueup program axis-heat` does.
 const HEAT_FEED_MM_PER_MIN: f64 = 10_000.0;
-/// The feed of a measurement where the runs do not say it, and how long a reading takes: as `trueup program`.
+/// The feed of a measurement where the runs do not say it: as `trueup program`.
 const FEED_MM_PER_MIN: f64 = 1000.0;
-const DWELL_S: f64 = 5.0;
 /// So much of the way lies beyond the targets, and at most so many mm: there play is taken up.
 const OVER_SHARE: f64 = 0.05;
 const MOST_OVER_MM: f64 = 50.0;
@@ -116,6 +115,8 @@ impl AxisRun {
 /// What the runs have shown.
 pub(super) struct AxisForesight {
     axis: LinearAxis,
+    /// How long it stands for a reading, in s.
+    dwell_s: f64,
     /// What the axis was seen at, in mm.
     range_mm: [f64; 2],
     feeds_mm_per_min: Vec<f64>,
@@ -134,6 +135,7 @@ impl AxisForesight {
         runs: &[RunFile],
         machine: &Machine,
         axis: LinearAxis,
+        gauge: Gauge,
     ) -> Result<Self, &'static str> {
         let position = format!("{}_mm", axis.name());
         let direction = format!("dir_{}", axis.name());
@@ -193,6 +195,7 @@ impl AxisForesight {
         let warms = warms.collect();
         Ok(Self {
             axis,
+            dwell_s: gauge.dwell_s(),
             range_mm: [low, high],
             feeds_mm_per_min,
             has_feed,
@@ -233,7 +236,7 @@ impl AxisForesight {
                             over_mm,
                             times,
                             feeds_mm_per_min: feeds.clone(),
-                            dwell_s: DWELL_S,
+                            dwell_s: self.dwell_s,
                             heat_min: *heat_min,
                             heat_feed_mm_per_min: HEAT_FEED_MM_PER_MIN,
                             cold: *cold,
@@ -337,7 +340,8 @@ mod tests {
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
         let runs = [run];
-        let foresight = AxisForesight::of(&runs, &machine, LinearAxis::X).expect("an axis");
+        let foresight =
+            AxisForesight::of(&runs, &machine, LinearAxis::X, Gauge::Auto).expect("an axis");
         let training = Data::new(&machine, &runs, Quantity::Dx).expect("comparable");
         let all = foresight.candidates();
         let heated =

@@ -1,4 +1,7 @@
 //! The runs that are thought of: every one begins cold, and lasts an hour and a half at most.
+//!
+//! No bearing is brought from rest to a high speed: each run begins with a run-in, a few minutes at each of the slower
+//! speeds. It is part of the run, so that its heat is foreseen.
 
 use super::{Stretch, foresight::Foresight};
 
@@ -10,6 +13,12 @@ const COOL_MIN: [f64; 5] = [0.0, 5.0, 10.0, 20.0, 30.0];
 /// What changes quickly stays for so long, in minutes, and comes so often: quick against heat, slow against the dial.
 const QUICK_MIN: f64 = 2.0;
 const QUICK_TIMES: [usize; 4] = [1, 2, 4, 8];
+
+/// The longest run, in minutes.
+const MAX_MIN: f64 = 90.0;
+/// How long a run-in stays at each of the slower speeds, in minutes: makers of spindles ask for some minutes at a quarter, a
+/// half and three quarters of the highest speed.
+const RUN_IN_MIN: f64 = 3.0;
 
 /// All of them.
 pub(super) fn candidates(foresight: &Foresight) -> Vec<Vec<Stretch>> {
@@ -42,5 +51,37 @@ pub(super) fn candidates(foresight: &Foresight) -> Vec<Vec<Stretch>> {
         }
     }
     all.retain(|run| run.iter().any(|stretch| stretch.rpm > 0.0));
-    all
+    let all = all.into_iter().map(|run| with_run_in(run, &speeds));
+    all.filter(|run| run.iter().map(|it| it.minutes).sum::<f64>() <= MAX_MIN).collect()
+}
+
+/// Returns `run` with a run-in before each speed that is higher than any before; `speeds` rise.
+fn with_run_in(run: Vec<Stretch>, speeds: &[f64]) -> Vec<Stretch> {
+    let mut highest_rpm = 0.0;
+    let mut whole = Vec::new();
+    for stretch in run {
+        let slower = speeds.iter().filter(|rpm| **rpm > highest_rpm && **rpm < stretch.rpm);
+        whole.extend(slower.map(|rpm| Stretch { rpm: *rpm, minutes: RUN_IN_MIN, load_n: 0.0 }));
+        highest_rpm = stretch.rpm.max(highest_rpm);
+        whole.push(stretch);
+    }
+    whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cold_spindle_is_run_in_before_each_higher_speed() {
+        let stretch = |rpm, minutes| Stretch { rpm, minutes, load_n: 0.0 };
+        let speeds = [3000.0, 6000.0, 9000.0, 12_000.0];
+        let run = vec![stretch(0.0, 5.0), stretch(12_000.0, 8.0), stretch(6000.0, 8.0)];
+        let whole = with_run_in(run, &speeds);
+        let rpm: Vec<f64> = whole.iter().map(|it| it.rpm).collect();
+        assert_eq!(rpm, [0.0, 3000.0, 6000.0, 9000.0, 12_000.0, 6000.0]);
+        assert_eq!(whole[1].minutes, RUN_IN_MIN);
+        let slow = vec![stretch(3000.0, 5.0)];
+        assert_eq!(with_run_in(slow.clone(), &speeds), slow);
+    }
 }

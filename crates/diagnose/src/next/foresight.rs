@@ -13,7 +13,7 @@ use std::{fmt::Write as _, path::Path};
 use trueup_machine::{RunFile, file::is_temperature_column};
 use trueup_numerics::{least_squares::Triangle, robust::median};
 
-use super::Stretch;
+use super::{Gauge, Stretch};
 use crate::data::Data;
 
 /// Time constants of spindles and columns of machine tools, in s: a minute to three hours, a factor of 1.4 apart.
@@ -23,9 +23,6 @@ const LAGS_S: [f64; 16] = [
 ];
 /// Heat grows with the speed by such a power: friction of a load (1) to that of a liquid (2).
 const POWERS: [f64; 3] = [1.0, 1.5, 2.0];
-/// A run is read as often as the runs were, but for planning not more often than this, in s: three times a minute are
-/// enough for what heats, and fewer readings promise less.
-const SHORTEST_STEP_S: f64 = 20.0;
 /// Rows that are looked at: enough for four constants.
 const MOST_ROWS: usize = 600;
 /// What pulls a constant that nothing determines to 0: as much as a hundredth of the rows.
@@ -82,7 +79,7 @@ pub(super) fn is_input(name: &str) -> bool {
 impl Foresight {
     /// # Errors
     /// The runs lack what a run of a spindle is described by.
-    pub(super) fn of(runs: &[RunFile]) -> Result<Self, &'static str> {
+    pub(super) fn of(runs: &[RunFile], gauge: Gauge) -> Result<Self, &'static str> {
         let mut rows: Vec<Row> = Vec::new();
         let (mut fastest_rpm, mut most_load_n) = (0.0_f64, 0.0_f64);
         let is_there = |name| runs.iter().all(|run| run.column(name).is_some());
@@ -136,7 +133,7 @@ impl Foresight {
         let mut steps: Vec<f64> =
             rows.iter().map(|row| row.step_s).filter(|step_s| *step_s > 0.0).collect();
         let every_s = if steps.is_empty() { 0.0 } else { median(&mut steps) };
-        Ok(Self { fastest_rpm, most_load_n, every_s: every_s.max(SHORTEST_STEP_S), columns })
+        Ok(Self { fastest_rpm, most_load_n, every_s: every_s.max(gauge.step_s()), columns })
     }
 
     /// The columns that a run is to have beside time, speed and growth.
@@ -279,7 +276,8 @@ mod tests {
 
     #[test]
     fn a_thermometer_is_foreseen_at_a_speed_that_was_not_run() {
-        let foresight = Foresight::of(&[run(12_000.0).0, run(8000.0).0]).expect("it is a run");
+        let foresight =
+            Foresight::of(&[run(12_000.0).0, run(8000.0).0], Gauge::Hand).expect("it is a run");
         assert_eq!((foresight.fastest_rpm, foresight.every_s), (12_000.0, 60.0));
         let (name, response) = &foresight.columns[0];
         let cold = Row { step_s: 0.0, speed: 0.0, load_n: 0.0 };

@@ -1,7 +1,7 @@
 //! What the planned runs, and two fixed cycles, need over many machines.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
-use trueup_diagnose::{Diagnosis, Next, NoNext};
+use trueup_diagnose::{Diagnosis, Gauge, Next, NoNext};
 use trueup_machine::RunFile;
 
 /// The score gap that is strong evidence.
@@ -60,7 +60,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
     for seed in seeds {
         let tried = drawn(seed);
         let diagnosis = tried.begun();
-        let next = match diagnosis.next() {
+        let next = match diagnosis.next(Gauge::Auto) {
             Ok(next) => next,
             Err(NoNext::NothingOpen) => continue,
             Err(why) => {

@@ -26,6 +26,8 @@ pub fn causes(fault: Fault) -> &'static [&'static str] {
         Fault::UnseenHolder => &["extra-heat-path", "slow-mode"],
         Fault::AxialStiffness => &["cutting-load"],
         Fault::SpeedGrowth => &["centrifugal-growth"],
+        Fault::ToolGrowth => &["dependence", "centrifugal-growth"],
+        Fault::ColdTool => &["extra-heat-path", "slow-mode"],
         Fault::LostCooling => &["growth-amplitude", "growth-rate"],
         Fault::Room => &["extra-heat-path", "axis-expansion"],
         Fault::ScrewHeating => &["axis-expansion"],

@@ -411,6 +411,7 @@ impl Loop {
                 head_deg: cycle.head_deg,
                 spindle_rpm: cycle.spindle_rpm,
                 load_n: sample.load_n(),
+                ..Command::default()
             };
             self.with.step(dt_s, &command(cycle.motor_mm));
             self.without.step(dt_s, &command(cycle.commanded_mm()));

@@ -70,7 +70,7 @@ pub(super) fn write(mut planned: Vec<Planned<'_>>, options: &Options, export: &m
     let report = &mut export.report;
     report.note("key it in by hand: MDI mode, PWE = 1; alarm 1000 comes: CAN and RESET together");
     report.note("at the end PWE = 0, then switch the power off and on, and reference");
-    report.note(format!("detection unit {} um", number(options.unit_um, 4)));
+    report.note(format!("detection unit {} µm", number(options.unit_um, 4)));
     for plan in &planned {
         let Some(drive) = &plan.drive else { continue };
         let backlash = (drive.backlash_um() / options.unit_um).round() as i64;

@@ -45,7 +45,7 @@ pub(super) fn chosen<'m>(
     for (span_um, cross) in with_span.drain(MOST_PAIRS.min(with_span.len())..) {
         let reason = format!(
             "straightness has {MOST_PAIRS} pairs of axes, and this one is among the smaller \
-             ({span_um:.1} um)"
+             ({span_um:.1} µm)"
         );
         report.leave_out(cross.section(), reason);
     }
@@ -126,7 +126,7 @@ pub(super) fn plan<'m>(
             {
                 let reason = format!(
                     "straightness has {POINTS} points, and lines between the best {POINTS} are \
-                     {off_um:.1} um off, of {:.1} um: not written",
+                     {off_um:.1} µm off, of {:.1} µm: not written",
                     high - low
                 );
                 report.leave_out(cross.section(), reason);

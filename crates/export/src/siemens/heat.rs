@@ -239,7 +239,7 @@ fn export_tool(
     match settings.and_then(|settings| compare_tool(machine, options, &settings, &csv)) {
         Ok(largest) => export.report.tables.push(ExportedTable {
             file: "tool_direction.csv".to_string(),
-            name: "SD42960, the tool's vector, by elongation in um".to_string(),
+            name: "SD42960, the tool's vector, by elongation in µm".to_string(),
             section: format!("machine.tool_direction of spindle.{source}"),
             points: ends_um.len(),
             range: (ends_um[0], ends_um[2]),
@@ -299,7 +299,7 @@ fn compare_tool(
                     tool_direction(machine.tool_direction, &machine.head_axes, angle_deg);
                 // A positive component moves its axis in the negative direction.
                 for (value, error) in turned.iter().zip(error_um(s_um, direction)) {
-                    largest.take(error - value, || format!("{s_um:.0} um at {angle_deg:?} deg"));
+                    largest.take(error - value, || format!("{s_um:.0} µm at {angle_deg:?} deg"));
                 }
             }
         }

@@ -79,6 +79,7 @@ pub fn fit_backlash(
         in_order: false,
     };
     let mut readings = Readings::of(run, &wanted)?;
+    let set_aside = readings.set_gross_aside(run, axis);
     let mut differences = differences(&readings);
     if differences.is_empty() {
         let direction = format!("dir_{}", axis.name());
@@ -106,6 +107,7 @@ pub fn fit_backlash(
     let width_um = rounded(width(means.iter().map(|mean| mean.1), rule), DECIMALS);
     let p = chance(&by_target);
     let mut report = report(&readings, &differences, axis, rule, width_um);
+    report.set_aside = set_aside;
     if let Some(feed) = feed {
         feed.say(&mut report, width_um);
     }
@@ -119,7 +121,7 @@ pub fn fit_backlash(
         let um = || means.iter().map(|mean| mean.1);
         let (low, high) = (um().fold(f64::INFINITY, f64::min), um().fold(f64::MIN, f64::max));
         report.warnings.push(format!(
-            "backlash changes along the axis, from {low:.1} to {high:.1} um, by more than the \
+            "backlash changes along the axis, from {low:.1} to {high:.1} µm, by more than the \
              repeats scatter: one width is wrong at some positions; a table for each direction \
              (fit pitch) follows it"
         ));
@@ -251,9 +253,9 @@ fn report(
         let rms = |spread: Option<Spread>| spread.map_or(f64::NAN, |it| it.rms_um);
         let each: Vec<String> = own.iter().map(|um| format!("{um:.1}")).collect();
         report.verdict = Verdict::DoNotCompensate(vec![format!(
-            "on runs left out the difference between the directions is {:.1} um rms without a \
-             correction and {:.1} um with the width of the other runs: no gain that holds (width \
-             run by run: {} um)",
+            "on runs left out the difference between the directions is {:.1} µm rms without a \
+             correction and {:.1} µm with the width of the other runs: no gain that holds (width \
+             run by run: {} µm)",
             rms(report.before),
             rms(report.left_out),
             each.join(", ")

@@ -85,13 +85,13 @@ impl ByFeed {
         let each: Vec<String> = there()
             .map(|(feed, um, half)| {
                 let half = half.map_or(String::new(), |half| format!(" ± {half:.1}"));
-                format!("{um:.1}{half} um at {feed} mm/min")
+                format!("{um:.1}{half} µm at {feed} mm/min")
             })
             .collect();
         let costs: Vec<String> = there()
             .filter(|(feed, ..)| *feed != chosen)
             .map(|(feed, um, _)| {
-                format!("at {feed} mm/min {:.1} um of it stay uncorrected", um - width_um)
+                format!("at {feed} mm/min {:.1} µm of it stay uncorrected", um - width_um)
             })
             .collect();
         let choose = if self.is_asked_for {
@@ -100,7 +100,7 @@ impl ByFeed {
             "; parts get their size at the slow feeds, so the slowest was taken: choose another with --feed"
         };
         report.warnings.push(format!(
-            "backlash depends on the feed: {}. {width_um:.1} um, of {chosen} mm/min, is taken; {}{choose}",
+            "backlash depends on the feed: {}. {width_um:.1} µm, of {chosen} mm/min, is taken; {}{choose}",
             each.join(", "),
             costs.join(", ")
         ));

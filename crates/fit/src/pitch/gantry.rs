@@ -121,7 +121,7 @@ pub fn fit_both<E: From<BadInput>>(
 /// What stands in a table that stays.
 fn largest(um: &[f64]) -> String {
     let largest = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
-    if largest == 0.0 { "0 everywhere".into() } else { format!("up to {largest:.1} um") }
+    if largest == 0.0 { "0 everywhere".into() } else { format!("up to {largest:.1} µm") }
 }
 
 /// At the second drive the backlash of the axis is known.

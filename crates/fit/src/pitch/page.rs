@@ -20,14 +20,21 @@ pub fn page(
     let name = axis.name().to_uppercase();
     let mut page =
         Page::new(&format!("{name}: accuracy and repeatability of positioning, ISO 230-2"));
-    let um = |value: f64| format!("{} µm", micrometres(value));
     if let Some(both) = &iso230.both {
         page.figures(&[
-            (um(both.accuracy_um), "A, bi-directional accuracy".into(), "before"),
-            (um(both.repeatability_um), "R, bi-directional repeatability".into(), "before"),
-            (um(both.systematic_um), "E, bi-directional systematic error".into(), "before"),
-            (um(both.mean_error_um), "M, mean bi-directional error".into(), "before"),
-            (um(both.reversal_um), "B, reversal error".into(), "before"),
+            (micrometres(both.accuracy_um), "A, bi-directional accuracy".into(), "before"),
+            (
+                micrometres(both.repeatability_um),
+                "R, bi-directional repeatability".into(),
+                "before",
+            ),
+            (
+                micrometres(both.systematic_um),
+                "E, bi-directional systematic error".into(),
+                "before",
+            ),
+            (micrometres(both.mean_error_um), "M, mean bi-directional error".into(), "before"),
+            (micrometres(both.reversal_um), "B, reversal error".into(), "before"),
         ]);
     }
     page.text(&format!(
@@ -55,7 +62,7 @@ pub fn page(
          E: range of the means. R: largest of 4s, of both directions with B. A: range of x̄ ± 2s. M: range of the means of \
          both directions. B: forward minus reverse. The uncertainty of the instrument is not part of these figures.",
     );
-    page.text("Instrument: ____________   Temperature: ______ °C   Operator: ____________   Signature: ____________");
+    page.signature();
     page.origin(origin);
     page
 }

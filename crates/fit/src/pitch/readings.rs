@@ -160,7 +160,13 @@ impl Readings {
             // A cell holds the slope of the error as well.
             return Vec::new();
         }
-        let found = gross(&self.repeats());
+        // Readings at different feeds are no repeats of each other.
+        let of_feed = |(it, reading): (repeats::Reading, &Reading)| repeats::Reading {
+            place: it.place + reading.feed * self.targets_mm.len(),
+            ..it
+        };
+        let by_feed: Vec<_> = self.repeats().into_iter().zip(&self.list).map(of_feed).collect();
+        let found = gross(&by_feed);
         let measured = measured_column(axis);
         let aside = |(it, _): (&Reading, &bool)| SetAside {
             place: file.place(it.row, &measured),

@@ -66,7 +66,7 @@ pub(super) fn choose_grid(
     if loss_um > enough_um && targets.len() <= most {
         report.warnings.push(format!(
             "the targets are not at equal distances; a table of {} points every {} mm misses what \
-             was measured at them by {loss_um:.3} um rms, more than the {enough_um:.3} um that \
+             was measured at them by {loss_um:.3} µm rms, more than the {enough_um:.3} µm that \
              their scatter allows",
             grid.points, grid.step_mm
         ));

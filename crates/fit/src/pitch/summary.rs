@@ -128,7 +128,7 @@ pub(super) fn write(
     let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
     let mut section = NewSection::new(format!("{name}.pitch"))
         .remark(format!(
-            "From {} readings of {} runs; rms um before {}, fitted {}, left out {}.",
+            "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
             report.rows_used,
             readings.runs,
             rms(report.before),
@@ -215,7 +215,7 @@ pub(super) fn reasons(
     let constant_alone = best.gains_on(nothing) && !best.gains_on(constant);
     let verdict = if constant_alone { "" } else { ": no gain that holds" };
     reasons.push(format!(
-        "on runs left out the error is {:.1} um rms without a correction and {:.1} um with {law} \
+        "on runs left out the error is {:.1} µm rms without a correction and {:.1} µm with {law} \
          from the other runs (run by run {} and {}){verdict}",
         nothing.rms_um(),
         best.rms_um(),
@@ -225,14 +225,14 @@ pub(super) fn reasons(
     let scatter = Scatter::of(by_target);
     if let Some(repeats_um) = scatter.repeats_um {
         reasons.push(format!(
-            "repeats at one position from one side scatter by {repeats_um:.1} um (one standard \
-             deviation), and what is systematic along the axis is {:.1} um rms",
+            "repeats at one position from one side scatter by {repeats_um:.1} µm (one standard \
+             deviation), and what is systematic along the axis is {:.1} µm rms",
             scatter.systematic_um()
         ));
     }
     if constant_alone {
         reasons.push(format!(
-            "what a table would gain is a constant, which already leaves {:.1} um: the zero of a \
+            "what a table would gain is a constant, which already leaves {:.1} µm: the zero of a \
              measurement is arbitrary, and a constant is not a position error",
             constant.rms_um()
         ));
@@ -278,7 +278,7 @@ pub(super) fn to_measure(
     let cycles = cycles_for(shape_um, decision.scatter?, targets);
     Some(match cycles.filter(|cycles| *cycles > decision.blocks) {
         Some(cycles) => format!(
-            "{chance}; an error of {shape_um:.1} um rms that repeats would show with 95 % in {cycles} runs"
+            "{chance}; an error of {shape_um:.1} µm rms that repeats would show with 95 % in {cycles} runs"
         ),
         None => format!("{chance}: find what shifts from run to run, then measure again"),
     })
@@ -291,7 +291,7 @@ pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
     found.is_doubted().then(|| {
         format!(
             "the table holds at its points; between them it is doubted: the line between its neighbours \
-             misses a target that is left out by {:.1} um rms, no table at all by {:.1} um; measure \
+             misses a target that is left out by {:.1} µm rms, no table at all by {:.1} µm; measure \
              between the targets as well (trueup diagnose lists positions)",
             found.line, found.nothing
         )

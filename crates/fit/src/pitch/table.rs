@@ -235,7 +235,7 @@ mod tests {
         let targets: Vec<f64> = points.points.iter().map(|point| point.0).collect();
         let loss = |count| Grid::over(&targets, count).loss_um(&[&points]);
         let losses = [3, 6, 20, 80].map(loss);
-        println!("loss in um with 3, 6, 20, 80 points: {losses:.3?}");
+        println!("loss in µm with 3, 6, 20, 80 points: {losses:.3?}");
         assert!(losses.is_sorted_by(|a, b| a > b), "{losses:?}");
         assert!(losses[3] < 0.05);
     }

@@ -86,24 +86,24 @@ impl fmt::Display for Compared {
         let Residual { range_um, mean_um, mean_square_um2, largest_um, .. } = self.residual;
         write!(
             f,
-            "{}: {} coefficients; residual: range {range_um:.2} um, mean {:.2} um, mean square \
-             {mean_square_um2:.3} um2, largest {largest_um:.2} um",
+            "{}: {} coefficients; residual: range {range_um:.2} µm, mean {:.2} µm, mean square \
+             {mean_square_um2:.3} µm², largest {largest_um:.2} µm",
             self.way,
             self.coefficients,
             // + 0.0 turns -0 into 0.
             (mean_um * 100.0).round() / 100.0 + 0.0
         )?;
         if let Some(left) = &self.left_out {
-            write!(f, "; at positions left out {:.2} um RMS", left.rms_um)?;
+            write!(f, "; at positions left out {:.2} µm RMS", left.rms_um)?;
         }
         write!(
             f,
-            "; slope up to {:.4} um/mm, curvature up to {:.2e} um/mm2",
+            "; slope up to {:.4} µm/mm, curvature up to {:.2e} µm/mm2",
             self.slope_um_per_mm, self.curvature_um_per_mm2
         )?;
         if self.corner_um_per_mm > 0.0 {
             let um_per_s = self.corner_um_per_mm * FEED_MM_PER_MIN / 60.0;
-            write!(f, "; corners of {um_per_s:.2} um/s at {FEED_MM_PER_MIN} mm/min")?;
+            write!(f, "; corners of {um_per_s:.2} µm/s at {FEED_MM_PER_MIN} mm/min")?;
         }
         Ok(())
     }
@@ -208,9 +208,9 @@ mod tests {
         };
         assert_eq!(
             row.to_string(),
-            "straight lines: 9 coefficients; residual: range 2.00 um, mean 0.00 um, mean square 1.000 um2, \
-             largest 1.00 um; at positions left out 1.00 um RMS; slope up to 0.5000 um/mm, \
-             curvature up to 1.23e-3 um/mm2; corners of 1.00 um/s at 1000 mm/min"
+            "straight lines: 9 coefficients; residual: range 2.00 µm, mean 0.00 µm, mean square 1.000 µm², \
+             largest 1.00 µm; at positions left out 1.00 µm RMS; slope up to 0.5000 µm/mm, \
+             curvature up to 1.23e-3 µm/mm2; corners of 1.00 µm/s at 1000 mm/min"
         );
     }
 

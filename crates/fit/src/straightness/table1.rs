@@ -9,6 +9,7 @@
 mod page;
 
 use trueup_machine::{BadInput, applied::Unaided, file::LinearAxis};
+use trueup_page::Origin;
 
 use super::{
     Fit, FitError, Options, Residual, StraightnessCurve, Way,
@@ -92,10 +93,10 @@ pub struct Row {
 }
 
 impl Table1 {
-    /// The table as a page, with the speeds of the corrections drawn.
+    /// Returns the table as a page, with the speeds of the corrections drawn, made of what `origin` says.
     #[must_use]
-    pub fn html(&self) -> String {
-        page::html(self)
+    pub fn html(&self, origin: &Origin) -> String {
+        page::html(self, origin)
     }
 }
 

@@ -41,7 +41,7 @@ fn six_and_eleven_micrometres_do_not_become_eight_and_a_half() {
     let slow = fitted(&text, None);
     assert!((width(&slow) - 11.0).abs() < 0.5, "{:?}", slow.report);
     let told = slow.report.warnings.join(" ");
-    for part in ["depends on the feed", "um at 200 mm/min", "at 1000 mm/min -", "--feed"] {
+    for part in ["depends on the feed", "µm at 200 mm/min", "at 1000 mm/min -", "--feed"] {
         assert!(told.contains(part), "{part}: {told}");
     }
     let fast = fitted(&text, Some(1000.0));
@@ -76,4 +76,31 @@ fn a_feed_that_was_not_measured_is_refused_with_those_that_were() {
     let one = without.lines().take(43).collect::<Vec<_>>().join("\n");
     let said = fit_backlash(&run_of(&one), LinearAxis::X, &options(500.0)).expect_err("no column");
     assert!(said.rule.contains("feed_mm_per_min"), "{said}");
+}
+
+#[test]
+fn one_bad_reading_of_seven_is_excluded_by_its_line_and_the_width_stays() {
+    let all = run(&[(1000.0, 6.0)], 5);
+    let one_place: String = all
+        .lines()
+        .filter(|it| !it.contains(",50,") && !it.contains(",950,"))
+        .fold(String::new(), |text, line| text + line + "\n");
+    for (text, bad_row) in [(&all, 3), (&all, 22), (&all, 41), (&one_place, 4), (&one_place, 13)] {
+        for off_um in [25.0, -60.0] {
+            let spoiled = |(row, line): (usize, &str)| match line.rsplit_once(',') {
+                Some((rest, um)) if row == bad_row => {
+                    format!("{rest},{}\n", um.parse::<f64>().expect("a number") + off_um)
+                }
+                _ => format!("{line}\n"),
+            };
+            let text: String = text.lines().enumerate().map(spoiled).collect();
+            let fit = fitted(&text, None);
+            assert!((width(&fit) - 6.0).abs() < 0.5, "{:?}", fit.report);
+            let [excluded] = &fit.report.set_aside[..] else {
+                panic!("{:?}", fit.report.set_aside)
+            };
+            // The header is line 1.
+            assert_eq!(excluded.place.line, bad_row + 1);
+        }
+    }
 }

@@ -73,7 +73,7 @@ fn gross_errors_are_listed_with_their_lines_and_do_not_move_the_fit() {
     let report = fit(run.clone(), PAPER);
     let lines: Vec<usize> = report.set_aside.iter().map(|row| row.place.line).collect();
     assert_eq!(lines, [12, 35, 61]);
-    assert!(report.set_aside[0].to_string().starts_with("run.csv:12:6: set aside, 300 um is "));
+    assert!(report.set_aside[0].to_string().starts_with("run.csv:12:6: set aside, 300 µm is "));
     assert_holds(&report, "um_per_count", 0.02);
     assert_holds(&report, "k0_um", -2.0);
     assert_round_trip(&report, PAPER, &run, 0);

@@ -60,7 +60,7 @@ fn one_table_and_the_backlash_are_found_from_uneven_targets() {
             it.model.error_um[0] - shape(x) - if dir < 0.0 { -6.0 } else { 0.0 }
         })
         .collect();
-    println!("predicted minus true {:.3} um rms", rms(&off));
+    println!("predicted minus true {:.3} µm rms", rms(&off));
     assert!(rms(&off) < 0.25);
     assert!(fit.report.warnings.is_empty(), "{:?}", fit.report.warnings);
 }
@@ -173,7 +173,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
             _ => panic!("a number"),
         }
     };
-    println!("loss {:.3} um, with a step of 200 mm {:.3} um", loss(&fine), loss(&coarse));
+    println!("loss {:.3} µm, with a step of 200 mm {:.3} µm", loss(&fine), loss(&coarse));
     // A hundredth of the measured shape may be lost, about its mean.
     let mean = UNEVEN.map(shape).iter().sum::<f64>() / UNEVEN.len() as f64;
     let allowed = 0.01 * rms(&UNEVEN.map(|x| shape(x) - mean));
@@ -303,7 +303,7 @@ fn check_record(run: &Unaided<'_>) {
         .map(|(n, um)| um - shape(pitch.start_mm + pitch.step_mm * n as f64))
         .collect();
     println!(
-        "{} rows: {} points, {:.3} um rms from the truth, width {width_um}, left out {:?} by {}",
+        "{} rows: {} points, {:.3} µm rms from the truth, width {width_um}, left out {:?} by {}",
         run.rows(),
         off.len(),
         rms(&off),

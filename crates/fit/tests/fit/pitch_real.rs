@@ -34,7 +34,7 @@ fn tested(run: &Unaided<'_>, name: &str, ways: Ways) -> f64 {
     let largest = left.iter().fold(0.0_f64, |largest, um| largest.max(um.abs()));
     let um = rms(&left);
     println!(
-        "{name}, {ways:?}: runs 4-5 from {:.2} to {um:.3} um rms, {largest:.2} um at most; left out of 1-3 {:.3}; \
+        "{name}, {ways:?}: runs 4-5 from {:.2} to {um:.3} µm rms, {largest:.2} µm at most; left out of 1-3 {:.3}; \
          reverse table {}, width {:?}",
         rms(&before),
         fit.report.left_out.expect("three runs").rms_um,

@@ -309,3 +309,22 @@ fn the_papers_way_alone_is_a_machine_files_spline_too() {
     assert_eq!(found.spline.check(), Ok(()));
     assert!(found.is_within_tolerance && found.residual.largest_um <= 2.0);
 }
+
+#[test]
+fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve() {
+    let noise = noise(63, 0.3, 9);
+    let mut text = String::from("run,x_mm,measured_dz_um\n");
+    for (row, noise) in noise.iter().enumerate() {
+        let x = 50.0 * (row % 21) as f64;
+        let bad = if row == 30 { 40.0 } else { 0.0 };
+        let um = 6.0 * (x / 300.0).sin() + noise + bad;
+        text += &format!("{},{x},{um:.3}\n", row / 21);
+    }
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+    let report = trueup_fit::curve::fit(&run, None, |_| Ok(None), &Options::default());
+    let report = report.expect("a curve");
+    let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };
+    assert_eq!((excluded.place.line, report.rows_used, report.rows_incomplete), (32, 62, 0));
+    assert!(report.in_sample.is_some_and(|it| it.max_um < 1.5), "{report:?}");
+}

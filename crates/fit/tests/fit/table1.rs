@@ -106,7 +106,7 @@ fn the_papers_order_of_the_ways_where_its_reason_holds() {
                 u32::from(lines[2].left.residual.range_um > own[2].left.residual.range_um);
             let entry = table.entries.last().expect("the diagonal");
             println!(
-                "set {set} {}: {:.0} um (paper {papers_without}) -> B-spline {:.1} ({papers_with}), polynomial {:.1}, \
+                "set {set} {}: {:.0} µm (paper {papers_without}) -> B-spline {:.1} ({papers_with}), polynomial {:.1}, \
                  lines {:.1}; within any metre {:.1}, {:.1}, {:.1}; lines jump by {:.1e} mm/s, which asks {:.2} mm/s2, \
                  B-spline {:.0e}",
                 entry.name,
@@ -205,7 +205,7 @@ fn the_papers_way_begins_with_ten_points_and_the_eleventh_joins() {
     let (_, run) = curve(0, 0);
     let table = table1(&[run], &asked(9.0)).expect("a table");
     let steps = &table.entries[0].steps;
-    println!("control points and the largest residual in um: {steps:.2?}");
+    println!("control points and the largest residual in µm: {steps:.2?}");
     let counts: Vec<usize> = steps.iter().map(|(points, _)| *points).collect();
     assert_eq!(counts[..2], [10, 11]);
     assert!(counts.windows(2).all(|pair| pair[1] == pair[0] + 1));
@@ -227,7 +227,7 @@ fn a_diagonal_without_its_curves_or_off_its_line_is_refused() {
 #[test]
 fn the_page_draws_the_speeds_and_names_each_way() {
     let (table, _) = table(0, "z", [0, 2]);
-    let html = table.html();
+    let html = table.html(&trueup_page::Origin::default());
     assert_eq!(html.matches("<svg").count(), 3);
     for name in ["z_of_x", "z_of_y", "dz on the diagonal of x and y", "polynomial of degree 7"] {
         assert!(html.contains(name), "{name}");

@@ -11,7 +11,11 @@ use trueup_link::{
     frames::{offset_xy, offset_z},
     slcan::Event,
 };
-use trueup_modbus::{cnc::Cnc, input::Input, table::INPUT_LEN};
+use trueup_modbus::{
+    cnc::{Cnc, written},
+    input::Input,
+    table::INPUT_LEN,
+};
 
 /// A served hub; everything ends with it.
 struct World {
@@ -98,7 +102,7 @@ fn write(block: &[u16]) -> Vec<u8> {
 }
 
 fn engaged(counter: u16) -> Vec<u8> {
-    write(&Cnc { control: Control::ENGAGED, ..Cnc::default() }.encode(counter))
+    write(written(&Cnc { control: Control::ENGAGED, ..Cnc::default() }.encode(counter)))
 }
 
 /// Reads so often while the bridge changes its mind; how many blocks were new.

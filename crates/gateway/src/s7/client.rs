@@ -289,4 +289,4 @@ fn connect(address: &str) -> io::Result<TcpStream> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_import::{Refused, import};
 
-use crate::{Topic, answers, column, read_as, unit, values};
+use crate::{Topic, answers, bad, column, open, read_as, unit, values};
 
 #[test]
 fn a_compensation_file_of_linuxcnc_is_errors_there_and_back() {
@@ -34,6 +34,54 @@ fn a_compensation_file_of_linuxcnc_is_errors_there_and_back() {
             import(text.as_bytes(), Path::new("x.comp"), &answers(&[])),
             Err(Refused::Bad(_))
         ));
+    }
+}
+
+#[test]
+fn tables_of_a_sinumerik_are_errors_by_position() {
+    // As `trueup export --format siemens-840d` writes it: +2 µm at 100 mm.
+    let table = "%_N_AX_EEC_INI\nCHANDATA(1)\n$AA_ENC_COMP[0,0,AX1]=0.0\n$AA_ENC_COMP[0,1,AX1]=0.002 ; at 100\n\
+                 $AA_ENC_COMP[0,2,AX1]=-0.0015\n$AA_ENC_COMP_STEP[0,AX1]=100.0\n$AA_ENC_COMP_MIN[0,AX1]=-50.0\n\
+                 $AA_ENC_COMP_MAX[0,AX1]=150.0\n$AA_ENC_COMP_IS_MODULO[0,AX1]=0\nM17\n";
+    let given = [
+        (column("position"), "x_mm"),
+        (column("value"), "measured_dx_um"),
+        (unit("position"), "mm"),
+        (unit("value"), "mm"),
+    ];
+    let imported = read_as("AX_EEC.INI", table.as_bytes(), &given);
+    assert_eq!(imported.run, "x_mm,dir_x,measured_dx_um\n-50,1,0\n50,1,2\n150,1,-1.5\n",);
+    // Axis and unit do not stand in it, and are asked for.
+    assert_eq!(open(table, &[]), [column("position"), column("value")]);
+    assert_eq!(open(table, &given[..2]), [unit("position"), unit("value")]);
+    for (text, phrase) in [
+        (table.replace("_MIN[0", "_MINI[0"), "$AA_ENC_COMP_MIN is missing"),
+        (table.replace("[0,2,AX1]", "[0,2,AX2]"), "5:1: is a table of AX2"),
+        (table.replace("=0.002", "=two"), "4:1: is not $AA_ENC_COMP"),
+    ] {
+        assert!(bad(&text, &given).contains(phrase), "{text}: {}", bad(&text, &given));
+    }
+}
+
+#[test]
+fn tables_of_a_heidenhain_are_errors_there_and_back() {
+    // As `trueup export --format heidenhain` writes it.
+    let table = "BEGIN X.com MM\nNR AXISPOS BACKLASH X Z\n0 +0 +0.005 +0 +0\n1 +100 +0.007 +0.002 -0.004\n[END]\n";
+    let imported = read_as("X.com", table.as_bytes(), &[]);
+    assert_eq!(
+        imported.run,
+        "run,x_mm,dir_x,measured_dx_um,measured_dz_um\n1,0,1,0,0\n1,100,1,2,-4\n1,100,-1,7,-4\n1,0,-1,5,0\n"
+    );
+    let inches =
+        read_as("Y.com", table.replace(" Z\n", " Y\n").replace(" MM", " INCH").as_bytes(), &[]);
+    assert_eq!(values(&inches, "measured_dx_um"), [0.0, 50.8, 50.8, 0.0]);
+    assert_eq!(values(&inches, "measured_dy_um")[2], 177.8);
+    for (text, phrase) in [
+        (table.replace(" MM", ""), "1:1: does not end with MM or INCH"),
+        (table.replace("-0.004\n[", "["), " is not an entry of 5 numbers"),
+        (table.replace(" Z\n", " C\n"), "2:1: has a column C"),
+    ] {
+        assert!(bad(&text, &[]).contains(phrase), "{text}: {}", bad(&text, &[]));
     }
 }
 

@@ -3,9 +3,9 @@
 use super::{BELL, Line, LineSplitter, SlcanError, decode_line};
 use crate::frame::Frame;
 
-/// What a client sends to start over with an adapter in any state: ends a line that was left over,
-/// closes, sets 1 Mbit/s, opens. The first of the four answers may be a refusal.
-pub const OPEN: &[u8] = b"\rC\rS8\rO\r";
+/// The lines with which a client starts over with an adapter in any state: ends a line that was left over, closes, sets
+/// 1 Mbit/s, switches time stamps off, which an adapter keeps over a power cut, and opens.
+pub const OPEN: &[u8] = b"\rC\rS8\rZ0\rO\r";
 /// What a client sends to leave.
 pub const CLOSE: &[u8] = b"C\r";
 
@@ -121,8 +121,8 @@ mod tests {
                 port.receive(*byte);
             }
             let answers = heard(&mut client, &mut port);
-            assert_eq!(answers.len(), 4);
-            assert_eq!(answers[1..], [Event::Accepted, Event::Accepted, Event::Accepted]);
+            assert_eq!(answers.len(), 5);
+            assert!(answers[1..].iter().all(|answer| *answer == Event::Accepted));
             let frame = Frame::new(0x281, &[1, 2, 3]).unwrap();
             assert!(port.send(&frame));
             assert_eq!(heard(&mut client, &mut port), [Event::Frame(frame)]);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use trueup_core::{
-    calibration::Guards,
+    calibration::{Guards, Mains},
     dimensions::CHANNELS,
     term::{Effect, OnOff, Term, Terms},
     thermal_rate::MAX_TENTHS,
@@ -146,8 +146,10 @@ pub(super) fn thermometers(machine: &Machine) -> Result<[Option<Thermometer>; CH
 
 /// Returns the fastest changes of the channels, in tenths of a kelvin a minute.
 pub(super) fn guards(machine: &Machine) -> Result<Guards, BadInput> {
-    let service_switch = machine.inputs.as_ref().is_some_and(|inputs| inputs.service_switch);
-    let mut guards = Guards { service_switch, ..Guards::default() };
+    let inputs = machine.inputs.as_ref();
+    let service_switch = inputs.is_some_and(|inputs| inputs.service_switch);
+    let mains = inputs.map(|inputs| inputs.mains).unwrap_or_default();
+    let mut guards = Guards { service_switch, mains, ..Guards::default() };
     for (name, input) in machine.inputs.iter().flat_map(|inputs| &inputs.temperatures) {
         let Some(rate) = input.max_c_per_min else { continue };
         let tenths = rounded(rate * TENTHS).and_then(|tenths| u16::try_from(tenths).ok());
@@ -208,10 +210,11 @@ pub(super) fn inverse(
         temperatures.insert(column(channel), TemperatureInput { channel, kind, max_c_per_min });
     }
     let sensor = has_sensor.then_some(SHOWN_INPUT);
-    let service_switch = guards.service_switch;
+    let (service_switch, mains) = (guards.service_switch, guards.mains);
     let is_connected = has_sensor || !temperatures.is_empty() || service_switch;
+    let is_connected = is_connected || mains != Mains::default();
     let is_connected = is_connected || !conditions.is_empty();
-    is_connected.then_some(Inputs { sensor, temperatures, conditions, service_switch })
+    is_connected.then_some(Inputs { sensor, temperatures, conditions, service_switch, mains })
 }
 
 /// A calibration holds channels, not the names of columns.

@@ -22,7 +22,8 @@ use super::{
     survey::{Settings, Survey},
 };
 use crate::{
-    file::{LinearAxis, is_temperature_column, read::Section},
+    file::{LinearAxis, Tools, is_temperature_column, read::Section},
+    tool::TOOL_COLUMN,
     location::BadInput,
 };
 use board::{Levels, by_category, levels_of};
@@ -158,6 +159,16 @@ impl Dependence {
         };
         let first = of(&self.column, *slope, REFERENCE_C + reference);
         Some([first, of(minus, -slope, REFERENCE_C)])
+    }
+
+    /// Puts the numbers of `[spindle.tools]` in the place of labels: a term that was found before its label had a number
+    /// holds for that tool from then on.
+    pub(crate) fn number_labels(&mut self, tools: &Tools) {
+        let Form::Level { levels, .. } = &mut self.form else { return };
+        for level in levels.iter_mut().filter(|_| self.column == TOOL_COLUMN) {
+            let numbered = tools.codes().find(|(code, _)| code == level);
+            *level = numbered.map_or(*level, |(_, number)| number.into());
+        }
     }
 
     /// How many levels, from the first on, have no amplitude: a constant could not be told from theirs.

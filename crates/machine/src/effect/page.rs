@@ -335,14 +335,12 @@ pub trait Page {
         Stage::Sum
     }
 
-    /// Whether the board corrects it. What only happened once, or what is the error of the
-    /// reference instrument, is explained and not corrected.
+    /// Whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
     fn is_compensated(&self) -> bool {
         true
     }
 
-    /// How far away it is: 0: a constant of the machine's own model, or of the axis's; 1: something
-    /// else that was recorded; 2: time alone, or the instrument.
+    /// How far away it is: 0 a constant of the model; 1 something else that was recorded; 2 time alone, the instrument.
     fn tier(&self) -> u8 {
         0
     }
@@ -437,6 +435,11 @@ pub trait Page {
 
     /// The measurement that would settle it.
     fn next_test(&self) -> &'static str;
+
+    /// What at the machine may be repaired in place of being corrected.
+    fn repair(&self) -> Option<&'static str> {
+        None
+    }
 
     /// Its values as a finding names them.
     fn parameters(&self, values: &[f64]) -> Vec<Parameter>;

@@ -88,9 +88,14 @@ impl Page for PitchError {
     }
 
     fn next_test(&self) -> &'static str {
-        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch. If the error has a kink, look \
-         at the pretension of the screw between its two bearings; if it has a bow, at whether screw and scale are parallel \
-         to the guide."
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn repair(&self) -> Option<&'static str> {
+        Some(
+            "If the error has a kink, look at the pretension of the screw between its two bearings; if it has a bow, at \
+             whether screw and scale are parallel to the guide.",
+        )
     }
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {

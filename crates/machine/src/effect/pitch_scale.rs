@@ -58,9 +58,14 @@ impl Page for PitchScale {
     }
 
     fn next_test(&self) -> &'static str {
-        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch. Before you correct it, look \
-         at what can be repaired: the pretension of a screw between two bearings, and a screw or scale that is not \
-         parallel to the guide."
+        "Measure once more by ISO 230-2 at targets that are no multiples of the screw's pitch."
+    }
+
+    fn repair(&self) -> Option<&'static str> {
+        Some(
+            "Before you correct it, look at what can be repaired: the pretension of a screw between two bearings, and a \
+             screw or scale that is not parallel to the guide.",
+        )
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
@@ -104,8 +109,9 @@ impl Definition for PitchScale {
     fn against(rival: &str) -> Option<&'static str> {
         match rival {
             "reference-temperature" => Some(
-                "Measure the axis at two temperatures that are at least 5 K apart: a wrong scale \
-                 stays the same, a wrong reference temperature changes with the slope.",
+                "While the expansion is linear both are the same error for each metre at every temperature: no measurement of \
+                 the axis distinguishes them, and either correction removes it. Look where the reference temperature comes \
+                 from (20 °C by ISO 1), and measure a certified length to know whether the scale is right.",
             ),
             "expansion-slope" => Some(
                 "Measure the axis cold and warm: a scale stays, an expansion grows with temperature.",

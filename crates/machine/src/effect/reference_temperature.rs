@@ -62,7 +62,9 @@ impl Page for ReferenceTemperature {
     }
 
     fn next_test(&self) -> &'static str {
-        "Measure the axis at both ends at two temperatures that are at least 5 K apart."
+        "Look where the reference temperature comes from: the gauge's own (20 °C by ISO 1), the scale's, the one at which the \
+         axis was last set. While the expansion is linear no measurement of the axis distinguishes a wrong one from a wrong \
+         scale: both are the same error for each metre at every temperature, and either correction removes it."
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {

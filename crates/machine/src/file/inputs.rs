@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use trueup_core::calibration::Mains;
+
 use super::{
     read::Section,
     write::section::{NewSection, Value},
@@ -26,6 +28,12 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
                 section.section(key)?.map(|sensor| read_sensor_input(&sensor)).transpose()?;
         } else if key == "service_switch" {
             inputs.service_switch = section.boolean(key)?.unwrap_or_default();
+        } else if key == "mains_hz" {
+            inputs.mains = match section.whole(key, 50, 60)? {
+                None | Some(50) => Mains::Hz50,
+                Some(60) => Mains::Hz60,
+                Some(hz) => return Err(section.bad(key, format!("must be 50 or 60, not {hz}"))),
+            };
         } else if let Some(condition) = section.section(key)?.filter(is_condition) {
             let input = read_condition(&condition, key)?;
             let is_taken = |(_, it): &(&String, &ConditionInput)| it.bit == input.bit;
@@ -211,6 +219,9 @@ pub(super) fn write(inputs: &Inputs) -> NewSection {
     let mut section = NewSection::new("inputs");
     if inputs.service_switch {
         section = section.with("service_switch", Value::Boolean(true));
+    }
+    if inputs.mains == Mains::Hz60 {
+        section = section.with("mains_hz", Value::Whole(60));
     }
     if let Some(SensorInput { volts_full_scale, counts_full_scale, divider }) = inputs.sensor {
         let entries = vec![

@@ -73,6 +73,8 @@ const CONDITION: &[Key] = &[
 const INPUTS: &[Key] = &[
     key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground; it holds from this calibration's first start on, also against the next one")
         .or("false"),
+    key("mains_hz", Whole(50, 60), "Hz", "the mains, 50 or 60, whose hum the PT100 converters and the linear inputs suppress")
+        .or("50"),
     section("sensor", SENSOR_INPUT, "how the displacement sensor reaches the board"),
     section(
         "temp_<name>_c",

@@ -1,4 +1,6 @@
 use super::*;
+use trueup_core::calibration::Mains;
+
 use crate::inputs::{CountScale, LinearInput, TemperatureInput, TemperatureKind};
 
 fn parse(source: &str) -> Machine {
@@ -162,5 +164,21 @@ fn what_the_instrument_is_worth_is_read_written_and_above_zero() {
     for wrong in ["uncertainty_um = 0.0", "uncertainty_um = -1.0", "", "uncertainty = 1.0"] {
         let text = format!("{SHORTEST}[instrument]\n{wrong}\n");
         assert!(MachineFile::parse(&text, Path::new("m.toml")).is_err(), "{wrong}");
+    }
+}
+
+#[test]
+fn mains_have_50_or_60_hz_and_nothing_between() {
+    let inputs = |hz: &str| format!("{SHORTEST}[inputs]\nmains_hz = {hz}\n");
+    for (hz, mains) in [("50", Mains::Hz50), ("60", Mains::Hz60)] {
+        let machine = parse(&inputs(hz));
+        assert_eq!(machine.inputs.as_ref().map(|inputs| inputs.mains), Some(mains));
+        // It comes back from the file that is written.
+        let again = parse(&machine.to_toml());
+        assert_eq!(again.inputs.map(|inputs| inputs.mains).unwrap_or_default(), mains);
+    }
+    for hz in ["55", "0", "400", "\"60\""] {
+        let error = MachineFile::parse(&inputs(hz), Path::new("m.toml")).expect_err(hz).to_string();
+        assert!(error.contains("mains_hz"), "{error}");
     }
 }

@@ -178,7 +178,8 @@ impl<'b> BridgeRun<'b> {
         // A cast from f64 saturates: a label that is not known is tool 0.
         let tool = of_label.unwrap_or(value as u16);
         self.heat.select(&self.calibration, Some(Conditions { tool, bits }));
-        self.heat.turn(situation.spindle_rpm.map_or(self.rated, rpm));
+        let speed = situation.spindle_rpm.map_or(self.rated, rpm);
+        self.heat.turn(&self.calibration, speed);
     }
 
     /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves

@@ -26,6 +26,11 @@ impl Cells {
         self.form.get(column) == Some(&Some(Form::Time))
     }
 
+    /// Returns the first time of the file in s from 1970, where a column of times is counted from it.
+    pub(super) fn epoch_s(&self, column: usize) -> Option<f64> {
+        self.clock.first_s().filter(|_| self.holds_times(column))
+    }
+
     /// Takes note of a row of numbers, NaN where one is missing; false if a column has held times of day: one
     /// of its fields breaks a rule.
     pub(super) fn take_numbers(&mut self, row: &[(f64, usize)]) -> bool {

@@ -64,6 +64,11 @@ impl Clock {
         }
         Ok((ns - first.ns) as f64 * 1e-9)
     }
+
+    /// Returns the first time of the file in s from 1970; one without a zone counts as UTC.
+    pub(super) fn first_s(&self) -> Option<f64> {
+        self.first.as_ref().map(|first| first.ns as f64 * 1e-9)
+    }
 }
 
 fn instant(text: &str) -> Option<(i128, bool)> {

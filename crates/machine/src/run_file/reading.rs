@@ -319,7 +319,8 @@ impl<'p> Reading<'p> {
         }
         let word = |path: &Path| shell_word(&path.to_string_lossy());
         let help = format!(
-            "if the clock was changed: trueup import {} --summer-time yes -o {}",
+            "if the clock was changed (the end of summer time), write each time with its offset \
+             (2026-10-25T02:30:00+01:00) or in UTC (2026-10-25T01:30:00Z), or: trueup import {} --summer-time yes -o {}",
             word(self.path),
             word(&self.path.with_extension("run.csv"))
         );
@@ -353,6 +354,7 @@ impl<'p> Reading<'p> {
             line_of_row: self.line_of_row,
             slips: self.slips,
             labels: self.labels,
+            epoch_s: None,
         };
         name_clock(&mut table, &self.cells);
         Ok(table)
@@ -387,9 +389,13 @@ fn help(name: &str) -> String {
 fn name_clock(table: &mut Table, cells: &Cells) {
     let mut number = 0;
     let mut has_time_s = table.columns.iter().any(|column| column.name == "time_s");
+    let mut epoch_s = None;
     table.columns.retain_mut(|column| {
         let is_time = cells.holds_times(number) || clock::are_unix_seconds(&column.values);
         let is_clock = is_time && clock::is_of_logger(&column.name);
+        if column.name == "time_s" || is_clock && !has_time_s {
+            epoch_s = cells.epoch_s(number);
+        }
         number += 1;
         if is_clock && !has_time_s {
             column.name = "time_s".into();
@@ -398,6 +404,7 @@ fn name_clock(table: &mut Table, cells: &Cells) {
         }
         !is_clock
     });
+    table.epoch_s = epoch_s;
     let columns = &table.columns;
     let is_there = |name: &str| columns.iter().any(|column| column.name == name);
     table.slips.retain(|slip| !is_there(&slip.meant) && is_there(&slip.name));

@@ -49,4 +49,6 @@ pub(super) struct Table {
     pub(super) slips: Vec<Slip>,
     /// The labels of tools, by the number in whose form each is kept.
     pub(super) labels: Vec<(f64, String)>,
+    /// The instant from which `time_s` counts, in s from 1970, where it was written as dates.
+    pub(super) epoch_s: Option<f64>,
 }

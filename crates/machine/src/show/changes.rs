@@ -1,7 +1,7 @@
 //! What differs between two calibrations, in words: which axis, which law, and by how much at most.
 
 use trueup_core::{
-    calibration::{AXIS_PAIRS, AxisModel, Calibration},
+    calibration::{AXIS_PAIRS, AxisModel, Calibration, Mains},
     cnc::LinearAxis,
     curve::Curve,
     pitch::Pitch,
@@ -82,6 +82,10 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
         let asked =
             if new.guards.service_switch { "asked for from now on" } else { "no longer asked for" };
         all.push(format!("the service switch is {asked}"));
+    }
+    if old.guards.mains != new.guards.mains {
+        let hz = if new.guards.mains == Mains::Hz60 { 60 } else { 50 };
+        all.push(format!("temperature inputs suppress the hum of {hz} Hz"));
     }
     limit_changes(old, new, &mut all);
     all

@@ -1,9 +1,13 @@
 //! Requests by hand, as the standard writes them, and any bytes at all.
 
 use super::*;
-use crate::{cnc::Cnc, input::Input};
+use crate::{
+    cnc::{Cnc, written},
+    input::Input,
+};
 use proptest::prelude::*;
 use std::{vec, vec::Vec as List};
+use trueup_core::cnc::Conditions;
 
 /// Registers that count what was taken.
 pub(crate) struct Mock {
@@ -24,7 +28,7 @@ impl Bridge for Mock {
     }
 
     fn holding(&mut self) -> cnc::Registers {
-        self.taken.last().copied().unwrap_or([0; HOLDING_LEN])
+        self.taken.last().copied().unwrap_or([0; WHOLE_HOLDING_LEN])
     }
 
     fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
@@ -86,12 +90,21 @@ fn the_whole_input_block_is_read_in_one_request() {
 #[test]
 fn the_whole_holding_block_is_written_and_read_back() {
     let mut bridge = Mock::new();
-    let block = Cnc::default().encode(5);
-    let echo = Some(vec![16, 0, 0, 0, 17]);
-    assert_eq!(ask(&mut bridge, 1, &write(&block)), [echo.clone(), echo]);
-    assert_eq!(bridge.taken, [block, block]);
-    let [Some(read), _] = ask(&mut bridge, 1, &[3, 0, 0, 0, 17]) else { panic!() };
-    assert_eq!(read[2..4], [0, 5]);
+    let conditions = Some(Conditions { tool: 9, bits: 0x8001 });
+    for (said, registers) in [(Cnc::default(), 17), (Cnc { conditions, ..Cnc::default() }, 20)] {
+        let block = said.encode(5);
+        let echo = Some(vec![16, 0, 0, 0, registers]);
+        assert_eq!(ask(&mut bridge, 1, &write(written(&block))), [echo.clone(), echo]);
+        assert_eq!(bridge.taken.split_off(0), [block, block]);
+        bridge.taken.push(block);
+        for count in [17, 20] {
+            let [Some(read), _] = ask(&mut bridge, 1, &[3, 0, 0, 0, count]) else { panic!() };
+            let (words, _) = read[2..].as_chunks::<2>();
+            let words: List<u16> = words.iter().map(|it| u16::from_be_bytes(*it)).collect();
+            assert_eq!(words, block[..usize::from(count)]);
+        }
+        bridge.taken.clear();
+    }
 }
 
 #[test]
@@ -99,6 +112,7 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
     let mut bridge = Mock::new();
     let part = write(&[0; 16]);
     let more = write(&[0; 18]);
+    let most = write(&[0; 21]);
     let mut elsewhere = write(&[0; 17]);
     elsewhere[2] = 1;
     let mut wrong_bytes = write(&[0; 17]);
@@ -125,9 +139,11 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
         (&[4, 0, 28, 0, 1], 2),
         (&[4, 0, 27, 0, 2], 2),
         (&[4, 0xFF, 0xFF, 0, 125], 2),
-        (&[3, 0, 17, 0, 1], 2),
+        (&[3, 0, 20, 0, 1], 2),
+        (&[3, 0, 0, 0, 21], 2),
         (&part, 2),
         (&more, 2),
+        (&most, 2),
         (&elsewhere, 2),
         // 03: lengths.
         (&[4, 0, 0, 0, 0], 3),
@@ -145,7 +161,7 @@ fn each_fault_gets_the_exception_that_the_standard_names_and_moves_nothing() {
         let said = Some(vec![pdu[0] | 0x80, exception]);
         assert_eq!(ask(&mut bridge, 1, pdu), [said.clone(), said], "{pdu:?}");
     }
-    assert_eq!(bridge.taken, [[0; HOLDING_LEN]; 0]);
+    assert_eq!(bridge.taken, [[0; WHOLE_HOLDING_LEN]; 0]);
     bridge.is_busy = true;
     let said = Some(vec![0x90, 6]);
     assert_eq!(ask(&mut bridge, 1, &write(&[0; 17])), [said.clone(), said]);

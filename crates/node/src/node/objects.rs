@@ -97,6 +97,12 @@ impl Node<'_> {
                 let part = self.state.learned().now().get(usize::from(part)).copied();
                 signed(part.ok_or(Abort::NoSubindex)?.into())
             }
+            ObjectKind::Tool => self.state.conditions().0.unwrap_or_default().tool.into(),
+            ObjectKind::Conditions => self.state.conditions().0.unwrap_or_default().bits.into(),
+            ObjectKind::ConditionsOrigin => match self.state.conditions() {
+                (_, true) => 2,
+                (last, false) => last.is_some().into(),
+            },
             ObjectKind::Noise => self.noise_thousandths(),
             ObjectKind::Counter(counter) => self.counter(counter),
             ObjectKind::RunningCrc => identity(self.blob),

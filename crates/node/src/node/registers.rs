@@ -3,11 +3,9 @@
 
 use trueup_core::cnc::Command;
 use trueup_modbus::{
-    cnc::{self, Checker, Cnc, Refused},
+    cnc::{self, Checker, Cnc, Refused, is_sound},
     input::Input,
-    protect::is_whole,
     server::Busy,
-    table::HOLDING_DATA_ID,
 };
 
 use super::{Line, Node};
@@ -56,7 +54,7 @@ impl Node<'_> {
     #[inline(never)]
     pub fn hear_block(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
         if !self.master.admits(Line::Modbus) {
-            if is_whole(block, HOLDING_DATA_ID) {
+            if is_sound(block) {
                 self.master.hear_other();
             }
             return Err(Busy);
@@ -69,8 +67,8 @@ impl Node<'_> {
             Err(refused) => {
                 self.registers.last_refused = refused as u16;
                 self.registers.refused = self.registers.refused.saturating_add(1);
-                let is_sound = matches!(refused, Refused::Repeated | Refused::WrongSequence);
-                self.master.refuse(is_sound);
+                let is_another = matches!(refused, Refused::Repeated | Refused::WrongSequence);
+                self.master.refuse(is_another);
             }
         }
         Ok(())
@@ -83,7 +81,8 @@ impl Node<'_> {
         let positions = said.positions.into_iter().flatten().map(Command::Position);
         let rotary = said.rotary.map(Command::Rotary);
         let spindle = said.spindle.map(Command::Spindle);
-        for command in positions.chain(rotary).chain(spindle) {
+        let conditions = said.conditions.map(Command::Conditions);
+        for command in positions.chain(rotary).chain(spindle).chain(conditions) {
             bridge.hear(&mut self.state, command);
         }
     }

@@ -143,8 +143,137 @@ fn silence_is_told_and_not_shown_as_the_last_offset() {
     state.link = Link::Down("the bridge has closed the line".into());
     state.sample(6.0);
     let (text, _) = screen(&state, (80, 24), false);
-    has(&text, &["NO OFFSETS COME", "none", "line down, trying again: the bridge has closed"]);
+    has(&text, &["NO OFFSETS COME for 2 s", "line down, trying again: the bridge has closed"]);
+    // The last ones stand there as what they are.
+    has(
+        &text,
+        &["given to the CNC       none", "2 s ago               -5.00      +0.00     +12.27"],
+    );
     assert!(!text.contains("given to the CNC      -5.00"), "{text}");
+}
+
+#[test]
+fn what_is_old_is_grey_and_has_its_age() {
+    let mut state = watched(4_000, 731, true);
+    state.sample(15.0);
+    let old = [
+        "NO OFFSETS COME for 11 s",
+        "Growth    +12.27 µm (1",
+        "coil 30.00 °C (1",
+        "Nothing is heard of faults",
+        "11 s ago              -5.00",
+    ];
+    for size in [(80, 24), (60, 20)] {
+        has(&screen(&state, size, false).0, &old);
+    }
+    let mut terminal = Terminal::new(TestBackend::new(80, 24)).expect("it has no device");
+    let theme = Theme { has_colour: false };
+    terminal.draw(|frame| draw(frame, &state, theme)).expect("it has no device");
+    let buffer = terminal.backend().buffer();
+    let row = |text: &str| {
+        let row = buffer.content.chunks(80).find(|row| {
+            row.iter().map(ratatui::buffer::Cell::symbol).collect::<String>().contains(text)
+        });
+        row.unwrap_or_else(|| panic!("{text} is missing"))
+    };
+    for text in ["coil 30.00", "ago              -5.00"] {
+        assert!(row(text)[0].modifier.contains(Modifier::DIM), "{text} is not grey");
+    }
+    assert!(screen(&state, (80, 24), false).0.contains("axis heat                 ?"));
+    let mut fault = watched(4_000, 0, true);
+    fault.sample(15.0);
+    has(&screen(&fault, (80, 24), false).0, &["As it was 1", "sensor: out of range or stuck"]);
+    // The trend does not go on with it.
+    let growth = state.trend.series(0);
+    assert!(growth.iter().all(|(at_s, _)| *at_s < -8.0), "{growth:?}");
+}
+
+#[test]
+fn a_bridge_that_waits_for_engage_has_no_fault() {
+    let state = watched(4_000, 731, false);
+    for size in [(80, 24), (60, 20)] {
+        let (text, _) = screen(&state, size, false);
+        has(&text, &["WAITING  for Engage: off at the CNC, then on", "restarted: engage anew"]);
+        assert!(!text.contains("FAULT"), "{text}");
+    }
+    // A sensor that is lost is one.
+    has(&screen(&watched(4_000, 0, true), (80, 24), false).0, &["sensor: out of range or stuck"]);
+}
+
+#[test]
+fn at_60_by_20_nothing_essential_is_cut() {
+    let mut state = watched(4_000, 731, true);
+    state.recording = Some("bridge-20261126T060000".into());
+    state.recorded(2, 12_345);
+    state.gauge.latest = Some((14.0, 4.0));
+    state.gauge.trouble = None;
+    let (text, _) = screen(&state, (60, 20), false);
+    println!("{text}");
+    has(
+        &text,
+        &[
+            "lathe 7, calibration ",
+            " of m.toml",
+            "tcp:bridge:3333",
+            "REC  bridge-20261126T060000  12345 rows  2 readings",
+            "LIVE  every input is fresh, age",
+            "noise 0.",
+            "gauge elongation +14.00 µm",
+            "given to the CNC      -5.00      +0.00     +12.27",
+            "coil 30.00 °C",
+            "malformed 0",
+            "unpaired 0",
+            "No faults",
+            "r end recording",
+            "u undo",
+            "? help",
+        ],
+    );
+    let crc = state.board.calibration.expect("it was told");
+    has(&text, &[&format!("{crc:08x}")]);
+}
+
+#[test]
+fn volts_of_a_boards_own_calibration_are_marked_as_nominal() {
+    let mut state = watched(4_000, 731, true);
+    assert!(!screen(&state, (80, 24), false).0.contains("nominal"));
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
+    state.laws = Laws::of_board(compile(&machine).expect("it fits").blob());
+    state.source = Source::Board;
+    for size in [(80, 24), (60, 20)] {
+        has(&screen(&state, size, false).0, &[" V nominal    731.50 codes  noise 0."]);
+    }
+}
+
+#[test]
+fn readings_stand_in_the_trend_and_the_last_is_undone() {
+    let mut state = watched(4_000, 731, true);
+    assert_eq!(state.key(Key::Char('u')), None);
+    has(&screen(&state, (80, 24), false).0, &["no reading of the gauge is in the recording"]);
+    state.recording = Some("bridge-1".into());
+    for um in [14.0, 15.0] {
+        state.gauge.latest = Some((um, 4.0));
+        state.mark(um);
+    }
+    state.recorded(2, 40);
+    state.sample(4.2);
+    let (text, _) = screen(&state, (80, 30), false);
+    // 4 s of record: the axis is 10 s long.
+    has(&text, &["growth, µm, the last 10 s; • gauge", "-10 s", "-5 s", "now", "•", "+15.00"]);
+    assert_eq!(state.key(Key::Char('u')), Some(Action::Unmark));
+    state.unmark();
+    state.recorded(1, 40);
+    let (text, _) = screen(&state, (80, 30), false);
+    assert!(!text.contains("+15.00 ┤") && text.contains("1 reading"), "{text}");
+    // The last of the series: gauge minus bridge, 15 − 12.27.
+    (0..8).find(|_| {
+        state.key(Key::Char('t'));
+        state.series == crate::trend::DIFFERENCE
+    });
+    has(
+        &screen(&state, (80, 30), false).0,
+        &["gauge elongation minus bridge, µm, the last 10 s: +2.73"],
+    );
 }
 
 #[test]

@@ -9,35 +9,69 @@ use ratatui::{
     widgets::{Axis, Block, Borders, Chart, Dataset, GraphType},
 };
 
+use trueup_machine::file::Quantity;
+
 use super::Theme;
-use crate::{laws::Laws, state::State, trend::WINDOW_S};
+use crate::{
+    laws::Laws,
+    state::State,
+    trend::{DIFFERENCE, WINDOW_S},
+};
 
 /// The least height of the drawn range: below it there is only noise, in µm or °C.
 const LEAST_SPAN: f64 = 0.5;
+/// The least height with a row for the ticks of the time.
+const LEAST_TICKS: u16 = 5;
 /// The least length of the drawn time, in s.
 const LEAST_S: f64 = 10.0;
 
 /// Draws it.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
     let points = state.trend.series(state.series);
-    let values = || points.iter().map(|(_, value)| *value);
+    // The readings of the gauge stand on the curve that they are to be compared with.
+    let marks = match marked_series(state.gauge.quantity) {
+        (series, sign) if series == state.series => {
+            let marks = state.trend.marks().into_iter();
+            marks.map(|(at_s, um)| (at_s, sign * um)).collect()
+        }
+        _ => Vec::new(),
+    };
+    let values = || points.iter().chain(&marks).map(|(_, value)| *value);
     let (least, most) =
         values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), it| (a.min(it), b.max(it)));
-    let (least, most) = if points.is_empty() { (0.0, 0.0) } else { (least, most) };
+    let (least, most) =
+        if points.is_empty() && marks.is_empty() { (0.0, 0.0) } else { (least, most) };
     let spare = ((LEAST_SPAN - (most - least)) / 2.0).max(0.0);
     let bounds = [least - spare, most + spare];
     let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(LEAST_S, WINDOW_S);
     let (name, unit) = name(state);
-    let title = format!("{name}, {unit}, the last {}", length(begin));
+    let mut title = format!("{name}, {unit}, the last {}", length(begin));
+    if state.series == DIFFERENCE
+        && let Some((_, last)) = points.last()
+    {
+        title += &format!(": {last:+.2}");
+    }
+    if !marks.is_empty() {
+        title += "; • gauge";
+    }
     let data = Dataset::default()
         .marker(Marker::Braille)
         .graph_type(GraphType::Line)
         .style(theme.good())
         .data(&points);
     let y = Axis::default().bounds(bounds).labels(bounds.map(|it| Line::raw(format!("{it:+8.2}"))));
-    let chart = Chart::new(vec![data])
+    let readings = Dataset::default()
+        .marker(Marker::Dot)
+        .graph_type(GraphType::Scatter)
+        .style(theme.number())
+        .data(&marks);
+    let ticks = [-begin, -begin / 2.0, 0.0].map(|at_s| Line::raw(tick(at_s)));
+    // A row for the ticks, if the curve keeps some.
+    let x = Axis::default().bounds([-begin, 0.0]);
+    let x = if area.height > LEAST_TICKS { x.labels(ticks) } else { x };
+    let chart = Chart::new(vec![data, readings])
         .block(Block::new().borders(Borders::TOP).title(title).style(Style::new()))
-        .x_axis(Axis::default().bounds([-begin, 0.0]))
+        .x_axis(x)
         .y_axis(y)
         .legend_position(None);
     frame.render_widget(chart, area);
@@ -47,9 +81,30 @@ fn length(seconds: f64) -> String {
     if seconds < 60.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
 }
 
+/// A moment before now.
+fn tick(at_s: f64) -> String {
+    match at_s {
+        0.0 => "now".into(),
+        _ if at_s > -60.0 => format!("{at_s:.0} s"),
+        _ => format!("{:.1} min", at_s / 60.0),
+    }
+}
+
+/// The series that a gauge of this quantity is compared with, and the sign of its readings there: an offset is what
+/// takes an error away.
+const fn marked_series(quantity: Quantity) -> (usize, f64) {
+    match quantity {
+        Quantity::Elongation => (0, 1.0),
+        Quantity::Dx => (1, -1.0),
+        Quantity::Dy => (2, -1.0),
+        Quantity::Dz => (3, -1.0),
+    }
+}
+
 fn name(state: &State) -> (String, &'static str) {
     match state.series {
         0 => ("growth".into(), "µm"),
+        DIFFERENCE => (format!("gauge {} minus bridge", state.gauge.quantity.name()), "µm"),
         which @ 1..=3 => (format!("offset of {}", ["X", "Y", "Z"][which - 1]), "µm"),
         which => {
             let channel = u8::try_from(which - 4).unwrap_or(u8::MAX);

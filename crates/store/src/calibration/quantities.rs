@@ -1,7 +1,7 @@
 //! The fields that are quantities, numbers of things, and tables of core.
 
 use trueup_core::{
-    calibration::ElongationSource,
+    calibration::{ElongationSource, Mains},
     cnc::LinearAxis,
     curve::Curve,
     dimensions::CHANNELS,
@@ -112,30 +112,34 @@ impl<'b> Field<'b> for ColdWithin {
 }
 
 /// The way back from one source to another, up to [`MAX_REJOIN_NM_PER_S`], and switches in the upper half: bit 0 is the
-/// service switch. They are 0 in a blob from before they were known, and a firmware from then refuses one that sets them.
-pub(super) struct RejoinAndSwitches(pub u32, pub bool);
+/// service switch, bit 1 says that the mains have 60 Hz. They are 0 in a blob from before they were known, and a firmware from then refuses one that sets them.
+pub(super) struct RejoinAndSwitches(pub u32, pub bool, pub Mains);
 
 impl<'b> Field<'b> for RejoinAndSwitches {
     const SIZE: usize = 4;
 
     fn put(&self, to: &mut Writer<'_>) {
-        let switches = if self.1 { SERVICE_SWITCH } else { 0 };
-        (self.0 | switches).put(to);
+        let switch = if self.1 { SERVICE_SWITCH } else { 0 };
+        let mains = if self.2 == Mains::Hz60 { MAINS_60_HZ } else { 0 };
+        (self.0 | switch | mains).put(to);
     }
 
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let found = u32::get(from);
-        let rejoin = found & !SERVICE_SWITCH;
+        let rejoin = found & !(SERVICE_SWITCH | MAINS_60_HZ);
         if rejoin > MAX_REJOIN_NM_PER_S {
             from.refuse(BlobError::Limit { offset, found: rejoin, most: MAX_REJOIN_NM_PER_S });
         }
-        Self(rejoin, found & SERVICE_SWITCH != 0)
+        let mains = if found & MAINS_60_HZ == 0 { Mains::Hz50 } else { Mains::Hz60 };
+        Self(rejoin, found & SERVICE_SWITCH != 0, mains)
     }
 }
 
 /// The bit of the service switch.
 const SERVICE_SWITCH: u32 = 1 << 16;
+/// The bit of mains of 60 Hz.
+const MAINS_60_HZ: u32 = 1 << 17;
 
 /// Bytes of a text: a reference to them.
 pub(super) struct Text<'b>(pub &'b [u8]);
@@ -401,6 +405,7 @@ impl<'b> Field<'b> for Option<Pitch<'b>> {
 mod tests {
     use super::*;
     use crate::calibration::{MAX_SIZE, decode, encode, tests::with_sample};
+    use trueup_core::calibration::Guards;
 
     #[test]
     fn thermometers_of_a_cold_machine_agree_within_5_kelvin_at_the_most() {
@@ -430,20 +435,25 @@ mod tests {
     }
 
     #[test]
-    fn the_service_switch_is_one_bit_that_is_0_in_a_blob_without_it_and_no_other_is_taken() {
-        with_sample(|mut calibration| {
-            let (mut before, mut after) = ([0; MAX_SIZE], [0; MAX_SIZE]);
-            let without = encode(&calibration, &mut before).expect("it is small");
-            calibration.guards.service_switch = true;
-            let with = encode(&calibration, &mut after).expect("it is small");
-            assert_eq!(decode(with), Ok(calibration));
-            // All but the CRC at the end.
-            let bytes = without.iter().zip(with).take(without.len() - 4);
-            let mut changed = bytes.enumerate().filter(|(_, (a, b))| a != b);
-            assert_eq!((changed.next(), changed.next()), (Some((578, (&0, &1))), None));
-        });
-        // Bit 1 of the switches.
-        let field = (11_u32 | 2 << 16).to_le_bytes();
+    fn each_switch_is_one_bit_that_is_0_in_a_blob_without_it_and_no_other_is_taken() {
+        type Set = fn(&mut Guards);
+        let switches: [(Set, u8); 2] =
+            [(|it| it.service_switch = true, 1), (|it| it.mains = Mains::Hz60, 2)];
+        for (set, bit) in switches {
+            with_sample(|mut calibration| {
+                let (mut before, mut after) = ([0; MAX_SIZE], [0; MAX_SIZE]);
+                let without = encode(&calibration, &mut before).expect("it is small");
+                set(&mut calibration.guards);
+                let with = encode(&calibration, &mut after).expect("it is small");
+                assert_eq!(decode(with), Ok(calibration));
+                // All but the CRC at the end.
+                let bytes = without.iter().zip(with).take(without.len() - 4);
+                let mut changed = bytes.enumerate().filter(|(_, (a, b))| a != b);
+                assert_eq!((changed.next(), changed.next()), (Some((578, (&0, &bit))), None));
+            });
+        }
+        // Bit 2 of the switches.
+        let field = (11_u32 | 4 << 16).to_le_bytes();
         let mut reader = Reader::new(&field, 0);
         let read = RejoinAndSwitches::get(&mut reader);
         assert!(matches!(reader.finish(read.0), Err(BlobError::Limit { .. })));

@@ -97,7 +97,7 @@ impl<'b> FixedPart<'b> {
             limits:
                 Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
             cold_within,
-            guards: Guards { max_rates, service_switch },
+            guards: Guards { max_rates, service_switch, mains },
             names: Names { machine, serial, board },
         } = *calibration;
         let none = SmoothingFactor(0);
@@ -131,7 +131,7 @@ impl<'b> FixedPart<'b> {
             squareness,
             spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
             terms,
-            rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch),
+            rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch, mains),
             cold_within: ColdWithin(cold_within),
             board,
             machine_name: Text(machine),
@@ -174,6 +174,7 @@ impl<'b> FixedPart<'b> {
             guards: Guards {
                 max_rates: self.thermometers.map(|it| it.1),
                 service_switch: self.rejoin.1,
+                mains: self.rejoin.2,
             },
             names: Names {
                 machine: self.machine_name.0,

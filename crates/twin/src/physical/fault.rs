@@ -36,6 +36,12 @@ faults! {
     AxialStiffness = "axial-stiffness";
     /// The shaft grows with the square of the speed, at once: 10 nm · size at 1000 r/min.
     SpeedGrowth = "speed-growth";
+    /// Each tool grows with the square of the speed by a coefficient of its own: 10 nm · size at
+    /// 1000 r/min, a share of that, back, or not at all.
+    ToolGrowth = "tool-growth";
+    /// Tool and holder come cold out of the magazine at each change, and warm behind the nose: 50 mm · size
+    /// of steel.
+    ColdTool = "cold-tool";
     /// Less coolant flows along the housing: it takes less heat away,
     /// the conductances times e^(−0.2·size).
     LostCooling = "lost-cooling";

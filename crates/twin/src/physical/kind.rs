@@ -28,10 +28,13 @@ pub enum Kind {
     ScaleAxis,
     /// An axis with a scale in a room that swings; the file has the scale's expansion.
     CompensatedAxis,
+    /// A spindle with a thermometer on the housing that changes its tools; the file has the growth over the
+    /// temperature, and nothing of the tools.
+    ToolSpindle,
 }
 
 impl Kind {
-    /// All of them.
+    /// Those that are drawn by chance; [`Self::ToolSpindle`] is asked for by name.
     pub const ALL: [Self; 6] = [
         Self::SensorSpindle,
         Self::WarmupSpindle,
@@ -51,6 +54,7 @@ impl Kind {
             Self::ScrewAxis => "screw-axis",
             Self::ScaleAxis => "scale-axis",
             Self::CompensatedAxis => "compensated-axis",
+            Self::ToolSpindle => "tool-spindle",
         }
     }
 
@@ -59,8 +63,9 @@ impl Kind {
     #[must_use]
     pub fn faults(self) -> &'static [Fault] {
         use Fault::{
-            AxialStiffness, CoilTemperature, GaugeDrift, LostCooling, MisplacedThermometer,
-            Mounting, Room, ScrewHeating, SensorGain, SpeedGrowth, UnseenHolder, Wear,
+            AxialStiffness, CoilTemperature, ColdTool, GaugeDrift, LostCooling,
+            MisplacedThermometer, Mounting, Room, ScrewHeating, SensorGain, SpeedGrowth,
+            ToolGrowth, UnseenHolder, Wear,
         };
         match self {
             Self::SensorSpindle => {
@@ -73,6 +78,7 @@ impl Kind {
             Self::ScrewAxis => &[ScrewHeating, Room, Mounting, Wear, GaugeDrift],
             Self::ScaleAxis => &[Room, Mounting, GaugeDrift],
             Self::CompensatedAxis => &[MisplacedThermometer, Mounting, GaugeDrift],
+            Self::ToolSpindle => &[ToolGrowth, ColdTool, AxialStiffness, GaugeDrift],
         }
     }
 
@@ -81,8 +87,8 @@ impl Kind {
     }
 }
 
-/// The way in which a fault of either direction goes, −1 or +1, and the share of the wear that grows
-/// along the screw.
+/// The way in which a fault of either direction goes, −1 or +1, the share of the wear that grows
+/// along the screw, and what the tools differ by.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Directions {
     pub gain: f64,
@@ -90,6 +96,8 @@ pub(super) struct Directions {
     pub drift: f64,
     pub mounting: f64,
     pub wear_along: f64,
+    /// How each tool grows with speed, of the size.
+    pub tools: [f64; 4],
 }
 
 /// Thermometers by name and place, each as good as thermometers on machines are.
@@ -121,6 +129,7 @@ pub(super) fn bare(kind: Kind, measured: Quantity) -> Scenario {
         ambient: AmbientConfig::default(),
         coolant: CoolantConfig::default(),
         spindle: None,
+        tool: Vec::new(),
         sensor: None,
         thermometer: BTreeMap::new(),
         axis: BTreeMap::new(),

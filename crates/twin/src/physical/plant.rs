@@ -35,6 +35,7 @@ impl Plant {
             drift: stream.sign(),
             mounting: stream.sign(),
             wear_along: if stream.chance(0.5) { stream.uniform(0.2, 0.6) } else { 0.0 },
+            tools: tools(seed),
         };
         let gauge_um = stream.log_uniform(0.1, 0.4);
         let (mut bare, machine, quantity) = if kind.is_axis() {
@@ -60,6 +61,10 @@ impl Plant {
             axis::programme(&mut scenario, &mut stream);
         } else {
             spindle::programme(&mut scenario, &mut stream);
+        }
+        if self.kind == Kind::ToolSpindle {
+            let mut stream = Stream::new(self.seed, &format!("tools of day {number}"));
+            spindle::change_tools(&mut scenario, &mut stream);
         }
         for &(fault, size) in faults {
             self.damage(&mut scenario, fault, size);
@@ -101,6 +106,13 @@ impl Plant {
             swing(&mut scenario.ambient, size);
         }
     }
+}
+
+/// Draws what the tools differ by: one does nothing, one grows back, two grow by different amounts.
+fn tools(seed: u64) -> [f64; 4] {
+    let mut stream = Stream::new(seed, "tools");
+    let mut shares = vec![0.0, -stream.uniform(0.3, 0.7), stream.uniform(0.4, 0.7), 1.0];
+    [(); 4].map(|()| shares.swap_remove(stream.whole(0, shares.len() - 1)))
 }
 
 /// A room that swings by `swing_c` over the day and wanders by half of that, from some hour on.

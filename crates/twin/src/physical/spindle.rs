@@ -11,10 +11,13 @@ use crate::{
     scenario::{CoolantConfig, Quantity, Scenario},
     sensors::{DisplacementConfig, Spot},
     spindle::SpindleConfig,
+    tool::ToolConfig,
 };
 
 /// A row a minute.
 const INTERVAL_S: f64 = 60.0;
+/// The tools of a magazine.
+pub(super) const TOOLS: [u16; 4] = [2, 5, 7, 11];
 /// A shift, in s.
 const SHIFT_S: f64 = 25_000.0;
 
@@ -57,7 +60,7 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
         spindle.housing_length_m = stream.uniform(0.15, 0.35);
         spindle.housing_j_per_k = stream.uniform(60_000.0, 150_000.0);
         let um_per_c = spindle.housing_length_m * Material::STEEL.expansion_per_k * 1e6;
-        if kind == Kind::ThermometerSpindle {
+        if matches!(kind, Kind::ThermometerSpindle | Kind::ToolSpindle) {
             spots.push(("housing", Spot::Housing));
             format!(
                 "{head}source = \"temperature\"\n[spindle.temperature]\n\
@@ -126,6 +129,22 @@ pub(super) fn programme(scenario: &mut Scenario, stream: &mut Stream) {
     }
 }
 
+/// Changes the tool before each piece at another speed, all of [`TOOLS`] in turn: each is used in a shift.
+pub(super) fn change_tools(scenario: &mut Scenario, stream: &mut Stream) {
+    let (mut magazine, mut tool, mut before_rpm) = (Vec::new(), TOOLS[0], 0.0);
+    for segment in &mut scenario.segment {
+        if segment.spindle_rpm > 0.0 && segment.spindle_rpm != before_rpm {
+            if magazine.is_empty() {
+                magazine = TOOLS.to_vec();
+            }
+            tool = magazine.swap_remove(stream.whole(0, magazine.len() - 1));
+        }
+        before_rpm = segment.spindle_rpm;
+        segment.tool = Some(tool);
+    }
+    scenario.tool = TOOLS.map(|number| ToolConfig { number, centrifugal_um_per_krpm2: 0.0 }).into();
+}
+
 /// A fault of a spindle or its sensor.
 pub(super) fn damage(scenario: &mut Scenario, fault: Fault, size: f64, way: &Directions) {
     if let Some(sensor) = &mut scenario.sensor {
@@ -140,6 +159,12 @@ pub(super) fn damage(scenario: &mut Scenario, fault: Fault, size: f64, way: &Dir
         Fault::UnseenHolder => spindle.holder_length_m = 0.05 * size,
         Fault::AxialStiffness => spindle.stiffness_n_per_um = 200.0 / size,
         Fault::SpeedGrowth => spindle.centrifugal_um_per_krpm2 = 0.01 * size,
+        Fault::ToolGrowth => {
+            for (tool, share) in scenario.tool.iter_mut().zip(way.tools) {
+                tool.centrifugal_um_per_krpm2 = 0.01 * size * share;
+            }
+        }
+        Fault::ColdTool => spindle.holder_length_m = 0.05 * size,
         Fault::LostCooling => {
             let flow = (-0.2 * size).exp();
             spindle.housing_coolant_w_per_k *= flow;

@@ -55,6 +55,8 @@ impl Desk {
         Command::new(env!("CARGO_BIN_EXE_trueup"))
             .args(line.split(' '))
             .current_dir(self.0.path())
+            // What a load replaces is kept there.
+            .env("XDG_STATE_HOME", self.path(".state"))
             // A LinuxCNC that has started the tests would give its own.
             .env_remove("INI_FILE_NAME")
             .output()

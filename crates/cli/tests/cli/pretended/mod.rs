@@ -54,6 +54,8 @@ pub enum Fault {
     Zeroed,
     /// Its firmware lets nobody write a reference.
     Older,
+    /// Its CNC says nothing more once a second tool has opened the line.
+    CncLeaves,
 }
 
 /// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
@@ -167,7 +169,9 @@ pub fn live(
                     if fault == Fault::Loses(heard.frames - 1) {
                         continue;
                     }
-                    node.hear(Line::Serial, &frame).expect("no tool sends a damaged frame");
+                    // A tool that speaks where a CNC has spoken counts from 0.
+                    let refused = node.hear(Line::Serial, &frame).err();
+                    assert!(refused.is_none_or(|it| it.is_sound()), "no tool sends damaged frames");
                 }
             }
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
@@ -203,7 +207,11 @@ pub fn live(
             }
             control = 0;
         }
-        if ms % 20 == 0 {
+        let is_gone = fault == Fault::CncLeaves && {
+            let heard = heard.lock().expect("nobody panics with it");
+            heard.bytes.windows(3).filter(|bytes| bytes == b"\rO\r").count() > 1
+        };
+        if ms % 20 == 0 && !is_gone {
             let engage = is_engaged();
             // As after every start: three times not engaged.
             let engaged =

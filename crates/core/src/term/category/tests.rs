@@ -4,7 +4,9 @@ use super::*;
 use crate::{
     cnc::LinearAxis,
     place::Place,
-    term::{Effect, OperatingPoint, Target, Term, TermStates, Terms, axis_errors, elongation},
+    term::{
+        Effect, OperatingPoint, Target, Term, TermStates, Terms, axis_errors, elongation, walked,
+    },
     testing::random,
     units::{Fine, Position, Rpm},
 };
@@ -95,7 +97,7 @@ fn what_a_level_is_multiplied_by() {
     let operating = OperatingPoint::default();
     let grown = Fine(10 * 256_000);
     let mut states = TermStates::default();
-    states.turn(Rpm(20_000));
+    states.turn(&Terms::default(), Rpm(20_000));
     // 2²⁹ in 2⁻²⁰ are 512 units.
     let mut of_growth = |times| {
         let terms = of(Target::Elongation, Effect::Condition(on_off(times)));
@@ -144,4 +146,38 @@ fn a_condition_behind_a_lag_begins_settled_and_follows_from_there() {
     step(&mut resumed);
     step(&mut states);
     assert_eq!(added(&resumed), added(&states), "a reset changes nothing");
+}
+
+/// By category comes last, wherever it stands in the blob, each with its constant once.
+#[test]
+fn terms_by_category_add_to_what_all_others_have_made() {
+    let term = |constant, effect| {
+        Some(Term { target: Target::Elongation, constant: Fine(constant), effect })
+    };
+    let double = Effect::Gain(crate::fixed::Scaled { mantissa: 1 << 29, shift: 29 });
+    let levels = levels();
+    let tools = ToolTable { levels: &levels, other: 1 << 29, shift: 50, times: Factor::Speed2 };
+    let all = [
+        term(10, Effect::Condition(on_off(Factor::One))),
+        term(20, Effect::Condition(OnOff { shift: 30, ..on_off(Factor::Growth) })),
+        term(3, double),
+        term(40, Effect::Tool(tools)),
+    ];
+    let sum = |places: [usize; 4]| {
+        let mut terms = Terms::default();
+        terms.iter_mut().zip(places).for_each(|(place, from)| *place = all[from]);
+        let mut states = TermStates::default();
+        states.select(&terms, Some(Conditions { tool: 9, bits: 1 << 3 }));
+        assert!(states.turn(&terms, Rpm(20_000)) && !states.turn(&terms, Rpm(20_000)));
+        let sum = |terms: &[Option<Term<'_>>]| {
+            elongation(terms, Fine(1_000), &states, OperatingPoint::default()).0
+        };
+        assert_eq!(sum(&terms), sum(&terms[..walked(&terms)]), "the rest need not be walked");
+        sum(&terms)
+    };
+    // 2·1000 + 3, then 512 + 10, 20 000²·2²⁹⁻⁵⁰ + 40, 1000/2 + 20.
+    let wanted = 2_003 + 522 + (191 + 40) + 520;
+    for places in [[0, 1, 2, 3], [2, 0, 1, 3], [3, 2, 1, 0]] {
+        assert_eq!(sum(places), wanted, "{places:?}");
+    }
 }

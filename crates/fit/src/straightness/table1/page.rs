@@ -1,7 +1,7 @@
 //! The table as a page: figures by curve and diagonal, and the corners of straight lines as the jumps of speed
 //! that they are.
 
-use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
+use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres};
 
 use super::{Entry, Row, Table1, Way};
 
@@ -12,7 +12,7 @@ const DRAWN: [(Way, Colour); 3] = [
     (Way::LeastSquares, Colour::After),
 ];
 
-pub(super) fn html(table: &Table1) -> String {
+pub(super) fn html(table: &Table1, origin: &Origin) -> String {
     let mut page = Page::new("Ways to a straightness curve");
     page.text(&format!(
         "What each way leaves of what was measured, and what it asks of the machine at {} mm/min in a control that \
@@ -38,6 +38,7 @@ pub(super) fn html(table: &Table1) -> String {
          each, and the noise of each reading, which they cut into the part. A polynomial has no jumps and cannot \
          follow.",
     );
+    page.origin(origin);
     page.html()
 }
 

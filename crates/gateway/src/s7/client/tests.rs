@@ -3,25 +3,25 @@
 use super::*;
 use std::{net::TcpListener, thread};
 
-const CONFIRM: &[u8] = &[0x11, 0xD0, 0, 1, 0, 1, 0, 0xC0, 1, 0x0A];
+pub(in crate::s7) const CONFIRM: &[u8] = &[0x11, 0xD0, 0, 1, 0, 1, 0, 0xC0, 1, 0x0A];
 
-fn tpkt(payload: &[u8]) -> Vec<u8> {
+pub(in crate::s7) fn tpkt(payload: &[u8]) -> Vec<u8> {
     [&[3, 0, 0, (4 + payload.len()) as u8][..], payload].concat()
 }
 
-fn answer(reference: u16, parameters: &[u8], data: &[u8]) -> Vec<u8> {
+pub(in crate::s7) fn answer(reference: u16, parameters: &[u8], data: &[u8]) -> Vec<u8> {
     let [high, low] = reference.to_be_bytes();
     let (p, d) = (parameters.len() as u8, data.len() as u8);
     let header = [2, 0xF0, 0x80, 0x32, 3, 0, 0, high, low, 0, p, 0, d, 0, 0];
     tpkt(&[&header[..], parameters, data].concat())
 }
 
-fn set_up(reference: u16, pdu: u8) -> Vec<u8> {
+pub(in crate::s7) fn set_up(reference: u16, pdu: u8) -> Vec<u8> {
     answer(reference, &[0xF0, 0, 0, 1, 0, 1, 0, pdu], &[])
 }
 
 /// A CPU that answers each request by the next of these, some bytes at a time, then goes.
-fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> Place {
+pub(in crate::s7) fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> Place {
     let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
     let address = listener.local_addr().expect("bound").to_string();
     thread::spawn(move || {

@@ -8,7 +8,7 @@ fn sensor() -> NewSection {
         .number("zero_counts", 5048.0)
         .number("um_per_count", 0.019_798_276_521_3)
         .keeping(&["temperature"])
-        .remark("15 rows, 0.84 um RMS")
+        .remark("15 rows, 0.84 µm RMS")
 }
 
 fn applied(source: &str, edit: &Edit) -> String {
@@ -38,7 +38,7 @@ fn a_section_that_is_not_there_is_added_with_its_remark_and_its_source() {
     assert_eq!(
         text,
         format!(
-            "{PLAIN}\n[spindle]\nsource = \"sensor\"\n\n# 15 rows, 0.84 um RMS\n\
+            "{PLAIN}\n[spindle]\nsource = \"sensor\"\n\n# 15 rows, 0.84 µm RMS\n\
              [spindle.sensor]\nk0_um = -4.0\nzero_counts = 5048.0\n\
              um_per_count = 0.0197982765213\n"
         )
@@ -107,7 +107,7 @@ fn the_section_alone_is_the_same_section() {
     let alone = Edit::of(sensor().remark("a line\nbreak")).to_toml();
     assert_eq!(
         alone,
-        "# 15 rows, 0.84 um RMS\n# a line break\n[spindle.sensor]\nk0_um = -4.0\n\
+        "# 15 rows, 0.84 µm RMS\n# a line break\n[spindle.sensor]\nk0_um = -4.0\n\
          zero_counts = 5048.0\num_per_count = 0.0197982765213\n"
     );
     let text = format!("{PLAIN}{alone}");

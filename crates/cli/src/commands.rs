@@ -1,0 +1,36 @@
+//! The lines that a command tells its user to type next: whole, with the files that it has written, so that they run as
+//! they are printed.
+
+use std::path::Path;
+
+use anyhow::Result;
+use trueup_output::escape::shell_word;
+
+use crate::output;
+
+/// What stands for a port that only the user knows.
+const PORT: &str = "--port PORT";
+
+fn word(path: &Path) -> String {
+    shell_word(&path.to_string_lossy()).to_string()
+}
+
+/// Returns the lines that bring a machine file to a board; the calibration stands in `folder`.
+pub fn to_board(machine: &Path, folder: &Path) -> Vec<String> {
+    let calibration =
+        word(&folder.join(machine.with_extension("bin").file_name().unwrap_or_default()));
+    vec![
+        format!("trueup compile {} -o {calibration}", word(machine)),
+        format!("trueup bridge load {calibration} {PORT}"),
+    ]
+}
+
+/// Returns the line that keeps what a board holds.
+pub fn save(folder: &Path) -> String {
+    format!("trueup bridge save {} {PORT}", word(&folder.join("board.json")))
+}
+
+/// Prints them after the results of a command.
+pub fn print(lines: &[String]) -> Result<()> {
+    lines.iter().try_for_each(|line| output::print(format_args!("then: {line}")))
+}

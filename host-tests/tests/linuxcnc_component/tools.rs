@@ -1,0 +1,150 @@
+//! Three tools in the real LinuxCNC: each grows with the speed in its own way, where the sensor in the nose does not see it.
+//! The twin is the metal: it hears which tool LinuxCNC has in the spindle and how fast that turns, the sensor's growth goes to
+//! the bridge, and what counts is where the tool tip is.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
+
+use std::{
+    path::Path,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Result, ensure};
+use trueup_emulator::{linuxcnc::headless::Headless, setup};
+use trueup_machine::MachineFile;
+use trueup_twin::{
+    Scenario,
+    machine::{Command, Machine as Twin},
+    noise::rms,
+};
+
+use super::linuxcnc_rig::{bridge::Bridge, control};
+
+/// What the user knows: the sensor, and each tool by its number.
+const MACHINE: &str = "\
+[machine]
+name = \"three tools\"
+kind = \"3-axis\"
+[inputs]
+sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.33 }
+[spindle]
+source = \"sensor\"
+[spindle.sensor]
+k0_um = 0.0
+zero_counts = 5048.0
+um_per_count = 0.0152587890625
+[spindle.tools]
+1 = { um_per_krpm2 = 0.09 }
+2 = { um_per_krpm2 = -0.045 }
+3 = { um_per_krpm2 = 0.06 }
+default = { um_per_krpm2 = 0.0 }
+[limits]
+slew_um_per_s = 500.0
+";
+/// The metal: a shaft that warms, tools that grow by their speed, and a holder of no length.
+const METAL: &str = "\
+name = \"three tools\"
+measure = [\"elongation\"]
+[ambient]
+amplitude_c = 0.0
+wander_c = 0.0
+[spindle]
+cells = 20
+centrifugal_um_per_krpm2 = 0.0
+stiffness_n_per_um = 0.0
+housing_length_m = 0.0
+holder_length_m = 0.0
+[sensor]
+[[tool]]
+number = 1
+centrifugal_um_per_krpm2 = 0.09
+[[tool]]
+number = 2
+centrifugal_um_per_krpm2 = -0.045
+[[tool]]
+number = 3
+centrifugal_um_per_krpm2 = 0.06
+[[segment]]
+kind = \"spindle\"
+duration_s = 1
+";
+const TABLE: &str = "T1 P1 D10 Z50\nT2 P2 D6 Z40\nT3 P3 D6 Z60\n";
+const RPM: f64 = 20_000.0;
+/// A second of the wall is so many of the metal: it is to warm.
+const HURRIED: f64 = 20.0;
+/// From a change on the offset comes within this, frames and ramp; then it counts.
+const COMES: Duration = Duration::from_millis(1_500);
+const COUNTS: Duration = Duration::from_millis(1_500);
+/// What tools and speeds have to leave of the growth.
+const LEFT: f64 = 0.05;
+
+/// Lets the metal live with what LinuxCNC does; gives growth and what the offset leaves of it, in µm, once `wait` is over.
+fn live(
+    cnc: &mut Headless,
+    bridge: &Bridge,
+    metal: &mut Twin,
+    wait: Duration,
+) -> Result<Vec<[f64; 2]>> {
+    let (begun, mut before, mut seen) = (Instant::now(), Instant::now(), Vec::new());
+    while begun.elapsed() < wait + COUNTS {
+        thread::sleep(Duration::from_millis(20));
+        let pins =
+            cnc.pins(&["iocontrol.0.tool-number", "spindle.0.speed-out", "axis.z.eoffset"])?;
+        let dt_s = before.elapsed().as_secs_f64() * HURRIED;
+        before = Instant::now();
+        let command = Command { tool: pins[0] as u16, spindle_rpm: pins[1], ..Command::default() };
+        metal.step(dt_s, &command);
+        let counts = metal.sensor_counts().unwrap_or(f64::NAN);
+        bridge.grow_to((counts - 5_048.0) * 500.0 / 32_768.0);
+        let grown_um = metal.elongation_um();
+        if begun.elapsed() > wait {
+            // The tool points down: what it grows is taken back by an offset up.
+            seen.push([grown_um, grown_um - pins[2] * 1e3]);
+        }
+    }
+    Ok(seen)
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn with_three_tools_95_percent_of_the_growth_are_gone() -> Result<()> {
+    let Some(linuxcnc) = setup::linuxcnc()? else {
+        println!("skipped: this distribution has no package of LinuxCNC");
+        return Ok(());
+    };
+    let machine = MachineFile::parse(MACHINE, Path::new("tools.toml"))?;
+    let mut metal = Twin::new(&Scenario::parse(METAL, Path::new("metal.toml"))?, 5);
+    let bridge = Bridge::start(&machine)?;
+    bridge.grow_to(0.0);
+    let files = [("trueup_gantry.toml", MACHINE), ("trueup_sim.tbl", TABLE)];
+    let mut cnc = control::start_with(linuxcnc, "trueup_sim.ini", &bridge.address(), &files)?;
+    cnc.halcmd("net trueup-tool iocontrol.0.tool-number => trueup.0.tool")?;
+    cnc.switch_on()?;
+    let mut seen: Vec<[f64; 2]> = Vec::new();
+    for tool in [1, 2, 3, 1, 3, 2] {
+        cnc.act("mdi", "text", "M5")?;
+        cnc.act("mdi", "text", format!("T{tool} M6"))?;
+        let is_there = |pins: &[f64]| pins[0] == f64::from(tool);
+        cnc.wait("the tool", 10, &["iocontrol.0.tool-number"], is_there)?;
+        cnc.act("mdi", "text", format!("S{RPM} M3"))?;
+        let part = live(&mut cnc, &bridge, &mut metal, COMES)?;
+        let of = |n: usize| rms(&part.iter().map(|it| it[n]).collect::<Vec<f64>>());
+        println!("tool {tool}: grown {:.2} um, left {:.3} um", of(0), of(1));
+        ensure!(
+            of(1) < LEFT * of(0).max(10.0),
+            "tool {tool}: {:.3} um are left of {:.2}",
+            of(1),
+            of(0)
+        );
+        seen.extend(part);
+    }
+    let of = |n: usize| rms(&seen.iter().map(|it| it[n]).collect::<Vec<f64>>());
+    let (grown, left) = (of(0), of(1));
+    println!(
+        "RMS {grown:.2} um without, {left:.3} um with: {:.1} % gone",
+        100.0 * (1.0 - left / grown)
+    );
+    ensure!(left <= LEFT * grown, "{left:.3} um are left of {grown:.2}");
+    ensure!(cnc.pins(&["trueup.0.quality"])? == [1.0], "live to the end");
+    Ok(())
+}
