@@ -1,13 +1,11 @@
-//! What takes two recorded inputs together: the bound of a range, and a difference in the place of two paths of heat.
+//! What takes two recorded inputs together: alone in the place of simpler terms, or a difference for two paths of heat.
 
-use trueup_machine::effect::{Effect, Input, Within};
+use trueup_machine::effect::Input;
 
 use crate::{
     candidates::with_composed,
-    columns::named,
     fit::{Fitted, Problem, fit},
     kind::{Kind, Part},
-    model::Model,
     search::{
         criterion::{CHOICE, EQUAL_PREDICTION},
         extend::{Extension, centred_effect, extensions, take_back},
@@ -15,58 +13,8 @@ use crate::{
     },
 };
 
-/// Bounds that are tried at once.
-const TRIED: usize = 9;
 /// Those that are fitted in the place of all terms over a column.
 const MOST_ALONE: usize = 10;
-/// The share of the rows on either side of a bound in which a better one is looked for: as far as the next one that a
-/// search tries.
-const AROUND: f64 = 0.1;
-
-/// Returns `fitted` with the bound of its part `kind` where it leaves least, and that part.
-pub(super) fn with_best_bound(problem: &Problem, kind: &Kind, fitted: Fitted) -> (Fitted, Kind) {
-    let mut kind = kind.clone();
-    let Some(within) = kind.cause().and_then(Effect::within) else { return (fitted, kind) };
-    let Some(values) = named(&problem.data, &within.column) else { return (fitted, kind) };
-    let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let place = |bound: f64| sorted.partition_point(|value| *value <= bound);
-    let around = (AROUND * sorted.len() as f64) as usize;
-    let (mut low, mut high) = {
-        let here = place(within.bound);
-        (here.saturating_sub(around).max(1), (here + around).min(sorted.len().saturating_sub(1)))
-    };
-    let mut best = fitted;
-    while low < high {
-        let step = ((high - low) / TRIED).max(1);
-        let mut at = None;
-        for number in (low..=high).step_by(step) {
-            // Between two values that differ.
-            let bound = 0.5 * (sorted[number - 1] + sorted[number]);
-            if sorted[number - 1] == sorted[number] {
-                continue;
-            }
-            let Some(with) = at_bound(problem, &best.model, &kind, bound) else { continue };
-            if with.0.rms() < best.rms() {
-                (best, kind) = with;
-                at = Some(number);
-            }
-        }
-        let Some(number) = at.filter(|_| step > 1) else { break };
-        (low, high) = (number.saturating_sub(step).max(low), (number + step).min(high));
-    }
-    (best, kind)
-}
-
-/// Returns `model`, fitted, with another bound of its part `kind`, and that part.
-fn at_bound(problem: &Problem, model: &Model, kind: &Kind, bound: f64) -> Option<(Fitted, Kind)> {
-    let within = kind.cause().and_then(Effect::within)?;
-    let moved = Kind::Cause(Effect::Within(Within { bound, ..within.clone() }));
-    let mut model = model.clone();
-    let part = model.parts.iter_mut().find(|part| part.kind == *kind)?;
-    part.kind = moved.clone();
-    Some((fit(problem, &model, None), moved))
-}
 
 /// What takes two inputs together comes last, beside simpler terms that have stood for it. Returns models with one alone
 /// in the place of all terms of `fitted` that read the column of one of `causes`.

@@ -10,7 +10,7 @@ use crate::{
     kind::{Kind, Part},
     model::Model,
     search::{
-        composed::with_best_bound,
+        bound::with_best_bound,
         criterion::bic,
         scan::{Draw, Hit, scan},
     },

@@ -16,7 +16,7 @@
 //! | `state` | the model in work, its terms, what was rejected and why |
 //! | `choose` | which extension is taken |
 //! | `table` | a table that was measured several times, judged by its repeats |
-//! | `composed` | bounds of ranges, and differences of two temperatures |
+//! | `composed`, `bound` | what takes two inputs together: differences of two temperatures, ranges and their bounds |
 //! | `float` | several terms at once, what one alone cannot show |
 //! | `revise` | what is looked at again once other terms are there |
 //! | `simplify` | what is made simpler at the end |
@@ -25,6 +25,7 @@
 //! Models whose BIC cannot be told apart are equal; then the simpler cause wins, among those the one
 //! that predicts left-out blocks better, and the machine's own model and sensors come before others.
 
+mod bound;
 mod choose;
 pub(crate) mod composed;
 pub(crate) mod criterion;

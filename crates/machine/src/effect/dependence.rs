@@ -16,7 +16,7 @@
 
 use super::{
     page::{
-        Definition, Entry, Heat, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value,
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value,
         minutes,
     },
     survey::{Settings, Survey},
@@ -26,7 +26,7 @@ use crate::{
     tool::TOOL_COLUMN,
     location::BadInput,
 };
-use board::{Levels, by_category, levels_of};
+use board::{Levels, levels_of};
 use propose::propose;
 use read::read;
 pub(super) use times::SPEED;
@@ -144,23 +144,6 @@ impl Dependence {
         }
     }
 
-    /// Returns its heat by two thermometers, where it is their difference.
-    fn of_two(&self) -> Option<[OnBoard; 2]> {
-        /// The reference of the second thermometer, in °C; any would do.
-        const REFERENCE_C: f64 = 20.0;
-        let (Form::Line { slope, reference }, Some(minus), Times::One) =
-            (&self.form, &self.minus, &self.times)
-        else {
-            return None;
-        };
-        let of = |column: &String, um_per_c: f64, reference_c: f64| {
-            let column = column.clone();
-            OnBoard::Heat(Heat { column, um_per_c, time_constant_s: self.lag_s, reference_c })
-        };
-        let first = of(&self.column, *slope, REFERENCE_C + reference);
-        Some([first, of(minus, -slope, REFERENCE_C)])
-    }
-
     /// Puts the numbers of `[spindle.tools]` in the place of labels: a term that was found before its label had a number
     /// holds for that tool from then on.
     pub(crate) fn number_labels(&mut self, tools: &Tools) {
@@ -174,20 +157,6 @@ impl Dependence {
     /// How many levels, from the first on, have no amplitude: a constant could not be told from theirs.
     fn without_amplitude(&self) -> usize {
         usize::from(self.times == Times::One)
-    }
-
-    /// Returns a at this value of the column.
-    fn level(&self, value: f64) -> f64 {
-        let Form::Level { levels, added, otherwise, .. } = &self.form else { return 0.0 };
-        let found = levels.iter().zip(added).find(|(level, _)| **level == value);
-        found.map_or(*otherwise, |(_, added)| *added)
-    }
-
-    /// Returns what it is on a board, if a board runs it.
-    fn by_category(&self) -> Option<OnBoard> {
-        let Form::Level { levels, otherwise, .. } = &self.form else { return None };
-        let of = |level: f64| (level, self.level(level));
-        by_category(&self.column, &self.times, levels, of, [*otherwise, self.lag_s])
     }
 
     fn factor(&self, nonlinear: &[f64], x: Option<&f64>) -> f64 {

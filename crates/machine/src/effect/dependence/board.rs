@@ -1,15 +1,49 @@
-//! Levels on a board: where the tool or a switch is the category, and the board knows the factor.
+//! A dependence on a board: levels where the tool or a switch is the category and the board knows the factor, and the
+//! difference of two temperatures.
 
 use trueup_core::dimensions::MAX_TOOLS;
 
-use super::values::SWITCH;
+use super::{Dependence, Form, values::SWITCH};
 use crate::{
-    effect::page::{OnBoard, Times},
+    effect::page::{Heat, OnBoard, Times},
     tool::TOOL_COLUMN,
 };
 
+impl Dependence {
+    /// Returns a at this value of the column.
+    fn level(&self, value: f64) -> f64 {
+        let Form::Level { levels, added, otherwise, .. } = &self.form else { return 0.0 };
+        let found = levels.iter().zip(added).find(|(level, _)| **level == value);
+        found.map_or(*otherwise, |(_, added)| *added)
+    }
+
+    /// Returns what it is on a board, if a board runs it.
+    pub(super) fn by_category(&self) -> Option<OnBoard> {
+        let Form::Level { levels, otherwise, .. } = &self.form else { return None };
+        let of = |level: f64| (level, self.level(level));
+        by_category(&self.column, &self.times, levels, of, [*otherwise, self.lag_s])
+    }
+
+    /// Returns its heat by two thermometers, where it is their difference.
+    pub(super) fn of_two(&self) -> Option<[OnBoard; 2]> {
+        /// The reference of the second thermometer, in °C; any would do.
+        const REFERENCE_C: f64 = 20.0;
+        let (Form::Line { slope, reference }, Some(minus), Times::One) =
+            (&self.form, &self.minus, &self.times)
+        else {
+            return None;
+        };
+        let of = |column: &String, um_per_c: f64, reference_c: f64| {
+            let column = column.clone();
+            OnBoard::Heat(Heat { column, um_per_c, time_constant_s: self.lag_s, reference_c })
+        };
+        let first = of(&self.column, *slope, REFERENCE_C + reference);
+        Some([first, of(minus, -slope, REFERENCE_C)])
+    }
+}
+
 /// Returns the board's form of levels over a column; `of` gives a level with what is added there.
-pub(super) fn by_category(
+fn by_category(
     column: &str,
     times: &Times,
     levels: &[f64],
