@@ -28,7 +28,7 @@ const EXAMPLES: &[&[(&str, &[u8])]] = &[
         "trueup_touch_off.ngc" "trueup_warmup.csv" "trueup_watchdog.hal"),
     files!("integrations/siemens-840d/" => "siemens-840d/": "README.md" "trueup_crc.awl"
         "trueup_db.awl" "trueup_fb.awl" "trueup_ob1.awl" "trueup_ob1_slope.awl" "trueup_step.awl"),
-    files!("integrations/fanuc/" => "fanuc/": "README.md"),
+    files!("integrations/fanuc/" => "fanuc/": "README.md" "trueup_pmc.txt"),
     files!("integrations/modbus/" => "modbus/": "README.md" "mb2hal.ini" "mb2hal_rtu.ini" "trueup-gateway.service"),
     files!("crates/link/" => "wire/": "trueup.dbc"),
     files!("crates/canopen/" => "wire/": "trueup.eds"),

@@ -349,7 +349,7 @@ fn every_key_of_every_cause_is_described_and_no_other_is() {
         used, described,
         "TERM_KEYS in crates/machine/src/file/keys/term.rs, by the alphabet"
     );
-    assert_eq!(TERM.len(), 3);
+    assert_eq!(TERM.len(), 6);
 }
 
 #[test]

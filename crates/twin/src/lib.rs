@@ -26,6 +26,7 @@
 //! | [`noise`] | streams of chance by seed and purpose, correlated noise |
 //! | [`table`] | columns of numbers, and the run file that they are written to |
 //! | [`hidden`] | challenges: a believed machine, runs with one hidden effect, the answer |
+//! | [`inputs`] | two days with one effect of recorded inputs that is in no list |
 //! | [`physical`] | machines with physical faults, in no terms but those of physics |
 //!
 //! # A challenge
@@ -52,6 +53,7 @@ pub mod cubic_spline;
 pub mod head;
 pub mod heat;
 pub mod hidden;
+pub mod inputs;
 pub mod instrument;
 pub mod machine;
 pub mod month;

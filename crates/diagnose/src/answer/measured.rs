@@ -5,6 +5,7 @@
 use trueup_machine::{
     Machine, RunFile,
     check::{self, Finding, Grade},
+    effect::Stage,
     envelope::{self, InputRanges, states},
     file::Quantity,
 };
@@ -96,9 +97,12 @@ impl<'m> Measured<'m> {
         self.outside(&machine).map(|why| (kind, why))
     }
 
-    /// What a term does in the rows, at the most; of one that rises from a start on all that it rises by.
+    /// What a term does in the rows, at the most; of one that rises from a start on all that it rises by. A gain and a
+    /// bend of a source are one characteristic, and count together.
     fn size_um(&self, problem: &Problem, model: &Model, kind: &Kind) -> f64 {
-        let parts = model.parts.iter().filter(|part| part.kind != *kind).cloned().collect();
+        let is_bent = |there: &Kind| matches!(there.stage(), Stage::Factor | Stage::Bend);
+        let is_of_it = |there: &Kind| there == kind || is_bent(there) && is_bent(kind);
+        let parts = model.parts.iter().filter(|part| !is_of_it(&part.kind)).cloned().collect();
         let without = Model { parts, ..model.clone() };
         let [with, without] = [model, &without].map(|model| problem.predicted(model));
         let mut effect: Vec<f64> = with.iter().zip(&without).map(|(a, b)| a - b).collect();

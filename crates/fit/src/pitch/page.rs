@@ -176,9 +176,9 @@ mod tests {
             "<svg",
             "trueup 1.2",
         ] {
-            let part = part.replace("10 µm", &format!("{} µm", micrometres(10.0)));
-            let part = part.replace("6 µm", &format!("{} µm", micrometres(6.0)));
-            let part = part.replace("4 µm", &format!("{} µm", micrometres(4.0)));
+            let part = part.replace("10 µm", &micrometres(10.0));
+            let part = part.replace("6 µm", &micrometres(6.0));
+            let part = part.replace("4 µm", &micrometres(4.0));
             assert!(html.contains(&part), "{part}: {html}");
         }
     }

@@ -1,0 +1,66 @@
+//! What an answer to [`trueup_twin::inputs`] is worth: whether the columns of the hidden law are named and claimed, and
+//! what is gone on another day.
+
+use std::{collections::BTreeSet, path::Path};
+
+use trueup_diagnose::{diagnose, report::Finding};
+use trueup_machine::{MachineFile, RunFile};
+use trueup_twin::inputs::{Kind, draw};
+
+/// Noise of the gauge in µm, which nothing takes away.
+const NOISE_UM: f64 = 0.4;
+
+/// What an answer is worth.
+#[derive(Clone, Debug)]
+pub struct Worth {
+    /// Whether all columns of the law are among those of claimed findings.
+    pub is_named: bool,
+    /// Whether something is claimed that goes with another column.
+    pub is_foreign: bool,
+    /// The share of what can go that is gone on the other day.
+    pub gone: f64,
+    /// The findings.
+    pub told: String,
+}
+
+/// Returns the columns that a finding is a law of.
+fn columns(finding: &Finding) -> BTreeSet<&str> {
+    let speeds = finding.times.as_deref().into_iter();
+    let speeds = speeds.filter(|times| times.starts_with("speed")).map(|_| "spindle_rpm");
+    let own = finding.column.iter().chain(finding.columns.iter().flatten());
+    let range = finding.within.iter().map(|range| &range.column);
+    own.chain(range).map(String::as_str).chain(speeds).collect()
+}
+
+/// Diagnoses the days of `kind` under `seed`.
+pub fn worth(kind: Kind, seed: u64) -> Worth {
+    let days = draw(kind, seed);
+    let machine = MachineFile::parse(&days.machine, Path::new("m.toml")).expect("a machine file");
+    let read =
+        |text: &str| RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+    let answer =
+        diagnose(&machine, &[read(&days.first)], &[read(&days.second)], None, &mut |_, _| {});
+    let report = answer.expect("the days can be compared").report;
+    let hidden: BTreeSet<&str> = kind.columns.iter().copied().collect();
+    let claimed: Vec<BTreeSet<&str>> =
+        report.findings.iter().filter(|it| it.claimed).map(columns).collect();
+    let named: BTreeSet<&str> = claimed.iter().flatten().copied().collect();
+    let is_foreign = claimed.iter().any(|it| it.is_empty() || !it.is_subset(&hidden));
+    // Of the squares the noise stays.
+    let effect_um = |rms_um: f64| (rms_um * rms_um - NOISE_UM * NOISE_UM).max(0.0).sqrt();
+    let (before, after) = (report.before.holdout_rms_um, report.after.holdout_rms_um);
+    let told = report.findings.iter().map(|it| {
+        let mark = if it.claimed { "" } else { "?" };
+        format!("{mark}{} {:?} {:?}", it.cause, columns(it), it.form)
+    });
+    Worth {
+        is_named: hidden.is_subset(&named),
+        is_foreign,
+        gone: 1.0 - effect_um(after) / effect_um(before).max(1e-9),
+        told: format!(
+            "{}, {before:.2} -> {after:.2} µm: {}",
+            report.verdict.name(),
+            told.collect::<Vec<_>>().join("; ")
+        ),
+    }
+}
