@@ -1,6 +1,6 @@
 //! Which dependences the recorded columns allow, and where a search begins.
 
-use super::{Dependence, Form, times::{LOAD, SPEED}, values::{KNOTS, SWITCH, bends, first, knots, levels, tools, zero_of}};
+use super::{Dependence, Form, times::{LOAD, SPEED}, values::{KNOTS, SWITCH, bends, knots, levels, tools, zero_of}};
 use crate::{
     effect::{page::Times, survey::{Settings, Survey, TIME_CONSTANTS, spread}},
     file::spindle::ElongationSource,
@@ -69,7 +69,7 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Sett
             if column == TOOL_COLUMN {
                 continue;
             }
-            let reference = if is_alone { first(values) } else { zero_of(values) };
+            let reference = zero_of(values);
             with(of(0.0, Form::Line { slope: 0.0, reference }, &times), Settings::none());
             if is_alone {
                 with(of(1.0, Form::Line { slope: 0.0, reference }, &times), late());

@@ -15,12 +15,7 @@ pub(super) const KNOTS: [usize; 2] = [5, 9];
 /// The levels of a column that is off and on.
 pub(super) const SWITCH: [f64; 2] = [0.0, 1.0];
 
-/// The first value that is there.
-pub(super) fn first(values: &[f64]) -> f64 {
-    values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0)
-}
-
-/// Where a column is 0 in a product: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
+/// Where a column is 0: at its own 0 if it comes near it, else at its mean. Multiplied by a column that
 /// hardly varies, the other factor alone would be taken for a dependence on both.
 pub(super) fn zero_of(values: &[f64]) -> f64 {
     let finite = || values.iter().copied().filter(|value| value.is_finite());
