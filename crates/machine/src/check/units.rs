@@ -31,6 +31,8 @@ const MOST_COLDEST_C: f64 = 120.0;
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
 /// A machine that stands is at 10 to 35 °C, which is so many °F …
 const STANDING_F: std::ops::RangeInclusive<f64> = 50.0..=95.0;
+/// What stands in one workshop is no further apart than this, in °C.
+const APART_C: f64 = 5.0;
 /// … and what runs in it at 60 °C at most.
 const MOST_F: f64 = 140.0;
 /// A clock of seconds that is beyond this counts milliseconds of Unix: as seconds it is the year 5138.
@@ -65,7 +67,8 @@ pub(super) fn findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding>
         let is_law = of_laws.contains(&column.name);
         // Where no law says which it is, the only one is.
         let is_asked = is_law || thermometers.len() == 1;
-        findings.extend(temperature(run, column, is_law, is_asked));
+        let may_be_f = may_be_fahrenheit(column, &thermometers);
+        findings.extend(temperature(run, column, is_law, [is_asked, may_be_f]));
     }
     // What is no temperature says nothing of the clock.
     let sound: Vec<&Column> = thermometers
@@ -100,7 +103,12 @@ fn range(values: &[f64]) -> Option<[f64; 2]> {
     (rows >= FEWEST_ROWS).then_some(range)
 }
 
-fn temperature(run: &RunFile, column: &Column, is_law: bool, is_asked: bool) -> Option<Finding> {
+fn temperature(
+    run: &RunFile,
+    column: &Column,
+    is_law: bool,
+    [is_asked, may_be_f]: [bool; 2],
+) -> Option<Finding> {
     let [least, most] = range(&column.values)?;
     let is_tenths = is_machine(least / 10.0) && is_machine(most / 10.0) && least > MOST_COLDEST_C;
     let as_kelvin = is_kelvin(least) && is_kelvin(most);
@@ -126,11 +134,25 @@ fn temperature(run: &RunFile, column: &Column, is_law: bool, is_asked: bool) -> 
     if as_kelvin || (is_asked && is_tenths) {
         return told(Grade::Unlikely);
     }
-    (is_asked && STANDING_F.contains(&least) && most <= MOST_F).then(|| {
+    (is_asked && may_be_f && STANDING_F.contains(&least) && most <= MOST_F).then(|| {
         let what = format!(
             "is from {least} to {most}: that looks like °F, not °C, for a machine that begins cold"
         );
         finding(run, &column.name, Grade::Unlikely, &what, "temperatures are in °C: (°F − 32)/1.8")
+    })
+}
+
+/// Whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show what it
+/// would in °C. What is warm from the first row on is no °F beside them.
+fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
+    let Some([least_f, most_f]) = range(&column.values) else { return true };
+    let others = thermometers.iter().filter(|other| other.name != column.name);
+    let in_c = others.filter_map(|other| range(&other.values));
+    let in_c = in_c.filter(|[least, _]| !STANDING_F.contains(least));
+    let around = in_c.reduce(|[low, high], [least, most]| [low.min(least), high.max(most)]);
+    let celsius = |fahrenheit: f64| (fahrenheit - 32.0) / 1.8;
+    around.is_none_or(|[low, high]| {
+        celsius(most_f) >= low - APART_C && celsius(least_f) <= high + APART_C
     })
 }
 

@@ -89,3 +89,21 @@ fn what_is_rare_and_right_is_not_refused() {
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
     assert_eq!(findings(&run, None), []);
 }
+
+/// A bearing that is at 52 °C from the first row on, beside a bed at 22 °C: in °F it would be at 11 °C.
+#[test]
+fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
+    let told = |bed_c: f64| {
+        let rows = (0..60)
+            .map(|row| format!("{},{:.2},{bed_c}\n", 60 * row, 52.0 + 0.01 * f64::from(row)));
+        let text = format!("time_s,temp_nose_c,temp_bed_c\n{}", rows.collect::<String>());
+        let run =
+            RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+        let machine =
+            MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
+        findings(&run, Some(&machine)).iter().any(|it| it.warning.what.contains("°F"))
+    };
+    assert!(!told(22.0));
+    assert!(told(12.0), "as cold as it would be in °C");
+    assert!(told(55.0), "all of them may be in °F");
+}
