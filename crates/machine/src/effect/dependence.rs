@@ -22,7 +22,7 @@ use super::{
     survey::{Settings, Survey},
 };
 use crate::{
-    file::{LinearAxis, Tools, is_temperature_column, read::Section},
+    file::{axis::LinearAxis, inputs::is_temperature_column, read::Section, tools::Tools},
     tool::TOOL_COLUMN,
     location::BadInput,
 };

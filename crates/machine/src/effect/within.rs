@@ -12,7 +12,7 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
-    file::{LinearAxis, is_temperature_column, read::Section},
+    file::{axis::LinearAxis, inputs::is_temperature_column, read::Section},
     location::BadInput,
 };
 

@@ -3,7 +3,7 @@
 use super::{Dependence, Form, values::SWITCH};
 use crate::{
     effect::page::{Times, number},
-    file::{is_temperature_column, read::Section},
+    file::{inputs::is_temperature_column, read::Section},
     location::BadInput,
 };
 

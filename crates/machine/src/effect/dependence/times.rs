@@ -2,7 +2,7 @@
 
 use crate::{
     effect::{forms::Times, page::Input, survey::{Settings, Survey, spread}},
-    file::is_temperature_column,
+    file::inputs::is_temperature_column,
 };
 
 /// The column of the spindle's speed.
