@@ -39,20 +39,24 @@ impl World {
         let (_, port) = address.rsplit_once(':').context("an address has a port")?;
         Ok(Self { _bridge: bridge, gateway, port: port.into() })
     }
+
+    /// Runs a master of pymodbus against it, and returns what that saw.
+    fn master(&self, script: &str) -> Result<Value> {
+        let output = Command::new(setup::python()?)
+            .arg(setup::root().join("host-tests/python").join(script))
+            .args(["127.0.0.1", &self.port])
+            .stdin(Stdio::null())
+            .output()?;
+        let errors = String::from_utf8_lossy(&output.stderr);
+        ensure!(output.status.success(), "{errors}\nthe gateway: {}", self.gateway.said());
+        Ok(serde_json::from_slice(&output.stdout)?)
+    }
 }
 
 #[test]
 fn pymodbus_engages_it_reads_it_and_gets_the_exception_that_the_standard_names() -> Result<()> {
-    let python = setup::python()?;
     let world = World::start()?;
-    let output = Command::new(python)
-        .arg(setup::root().join("host-tests/python/modbus_master.py"))
-        .args(["127.0.0.1", &world.port])
-        .stdin(Stdio::null())
-        .output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}\nthe gateway: {}", world.gateway.said());
-    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    let saw = world.master("modbus_master.py")?;
     println!("{saw:#}");
 
     assert_eq!(saw["wrong"], json!([]), "every block is whole");
@@ -117,14 +121,7 @@ fn pymodbus_says_the_tool_and_a_condition_and_the_offset_follows_them() -> Resul
     let run = support::file(&folder, "run.csv", GROWN_RUN)?;
     let bridge = Bridge::start(&["--machine", &machine, "--run", &run, "--speed", "1"])?;
     let world = World::before(bridge)?;
-    let output = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/modbus_tool.py"))
-        .args(["127.0.0.1", &world.port])
-        .stdin(Stdio::null())
-        .output()?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    ensure!(output.status.success(), "{said}\nthe gateway: {}", world.gateway.said());
-    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    let saw = world.master("modbus_tool.py")?;
     println!("{saw:#}");
     let is_at = |said: &Value, [x_um, by_tool_um]: [f64; 2]| {
         let at = |axis: usize| said["offset_um"][axis].as_f64().unwrap_or(f64::NAN);

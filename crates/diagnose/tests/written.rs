@@ -201,3 +201,30 @@ fn what_the_board_leaves_of_an_axis_is_what_is_said() {
     board_does_what_is_said(AXIS, SCREW, Quantity::Dx, 1);
     board_does_what_is_said(AXIS, SCREW, Quantity::Dy, 1);
 }
+
+/// A height sensor whose line is believed to be another one, and which is bent: the gain and the bend each do more than twice
+/// what was measured, and together what was measured.
+#[test]
+fn a_gain_and_a_bend_of_a_sensor_are_one_characteristic_and_are_written() {
+    let (mut fitted, mut held) =
+        ("sensor_counts,measured_elongation_um\n".to_string(), String::new());
+    held.push_str(&fitted);
+    let mut noise = Generator::new(5);
+    for row in 0..80 {
+        let sensor_um = 10.0 * f64::from(row);
+        // At most 625 µm at 500 µm; the gain alone adds 1200 µm at the end.
+        let measured_um = 2.5 * sensor_um - 2.0 * sensor_um.powi(2) / 800.0 + noise.normal();
+        let line = format!("{},{measured_um:.3}\n", sensor_um + 5000.0);
+        if row % 2 == 0 { &mut fitted } else { &mut held }.push_str(&line);
+    }
+    let machine = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n[spindle.sensor]\n\
+                   k0_um = 0.0\nzero_counts = 5000.0\num_per_count = 1.0\n";
+    let machine = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
+    let run =
+        |text: &str| RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+    let diagnosis = diagnose(&machine, &[run(&fitted)], &[run(&held)], None, &mut |_, _| {});
+    let report = diagnosis.expect("comparable").report;
+    let (before_um, after_um) =
+        (report.before.holdout_rms_um, report.after.compensated_holdout_rms_um);
+    assert!(after_um < 0.02 * before_um, "{before_um} -> {after_um}: {:?}", report.findings);
+}

@@ -115,7 +115,9 @@ impl MachineFile {
         }
         let mut terms: Vec<Term> = read.into_iter().map(|(term, _)| term).collect();
         for term in &mut terms {
-            if let (Effect::Dependence(it), Some(tools)) = (&mut term.effect, &spindle.tools) {
+            if let (Effect::Dependence(it), Some(tools)) =
+                (term.effect.everywhere_mut(), &spindle.tools)
+            {
                 it.number_labels(tools);
             }
         }

@@ -73,7 +73,7 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
         form: dependence(cause).map(Dependence::form_name),
         times: dependence(cause).and_then(|it| it.times.name()).map(String::from),
         columns: dependence(cause).and_then(columns),
-        within: cause.cause().and_then(Effect::within).map(|it| within(problem, it)),
+        within: cause.cause().and_then(Effect::within).zip(it.bound).map(within),
         claimed: it.doubts.is_empty(),
         compensated: cause.is_compensated() && it.is_kept,
         confidence: (it.confidence() * 1e4).round() / 1e4,
@@ -96,20 +96,11 @@ fn dependence(cause: &Kind) -> Option<&Dependence> {
     }
 }
 
-/// The range in which a cause acts: the bound lies between two values of the record.
-fn within(problem: &Problem, it: &Within) -> Range {
-    let values = crate::columns::named(&problem.data, &it.column).unwrap_or(&[]);
-    let below =
-        values.iter().copied().filter(|value| *value < it.bound).fold(f64::NEG_INFINITY, f64::max);
-    let above =
-        values.iter().copied().filter(|value| *value > it.bound).fold(f64::INFINITY, f64::min);
+/// The range in which a cause acts.
+fn within((it, ci95): (&Within, [f64; 2])) -> Range {
     let bound = |side| (it.side == side).then_some(it.bound);
-    Range {
-        column: it.column.clone(),
-        above: bound(Side::Above),
-        below: bound(Side::Below),
-        ci95: [below, above],
-    }
+    let (above, below) = (bound(Side::Above), bound(Side::Below));
+    Range { column: it.column.clone(), above, below, ci95 }
 }
 
 /// The two columns of a difference or a product.

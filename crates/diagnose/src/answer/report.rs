@@ -251,7 +251,7 @@ pub struct Range {
     /// Or below this one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub below: Option<f64>,
-    /// Values of the record between which the bound lies.
+    /// 95 % interval of the bound: values of the record beyond which another bound fits worse.
     pub ci95: [f64; 2],
 }
 

@@ -68,7 +68,7 @@ use crate::{
     model::Model,
     parameters::{Estimates, estimates},
     search::{
-        Added, Found,
+        Added, Found, bound,
         composed::alone_over_a_column,
         criterion::{STRONG_EVIDENCE, bic},
         extend::{replacements, without},
@@ -86,6 +86,9 @@ use other_law::Curves;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
 
+/// A profile interval of 95 %: the quantile of χ² with one degree of freedom.
+const PROFILE: f64 = 3.84;
+
 /// What was judged about one term.
 pub(crate) struct Judgement {
     pub part: Part,
@@ -97,6 +100,8 @@ pub(crate) struct Judgement {
     pub first_gain: Gain,
     /// The best first.
     pub rivals: Vec<Rival>,
+    /// Of what acts in a range alone: where its bound may be, at 95 %.
+    pub bound: Option<[f64; 2]>,
     /// Why its name is not claimed; empty: it is.
     pub doubts: Vec<Doubt>,
     /// Whether its correction is right whichever name is: it goes into the extended machine file.
@@ -219,6 +224,7 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         rivals,
         doubts,
         between: repeated.and_then(|repeated| repeated.between),
+        bound: bound::interval(problem, &found.fitted, cause, |with| case.bic_gap(with) < PROFILE),
         left_out_without,
     })
 }
@@ -414,6 +420,7 @@ mod tests {
             doubts,
             is_kept,
             between: None,
+            bound: None,
             left_out_without: Vec::new(),
         }
     }

@@ -11,6 +11,8 @@ use crate::{
 
 /// Bounds that are tried at once.
 const TRIED: usize = 9;
+/// Steps in which an interval is looked through, of all that the column has.
+const STEPS: usize = 60;
 /// The share of the rows on either side of a bound in which a better one is looked for: as far as the next one that a
 /// search tries.
 const AROUND: f64 = 0.1;
@@ -48,6 +50,30 @@ pub(super) fn with_best_bound(problem: &Problem, kind: &Kind, fitted: Fitted) ->
         (low, high) = (number.saturating_sub(step).max(low), (number + step).min(high));
     }
     (best, kind)
+}
+
+/// Returns the least and the most that the bound of `kind` may be, in the column's unit: beyond them the fit is no longer
+/// near `fitted`, by `is_near`. The ends are values of the record.
+pub(crate) fn interval(
+    problem: &Problem,
+    fitted: &Fitted,
+    kind: &Kind,
+    is_near: impl Fn(&Fitted) -> bool,
+) -> Option<[f64; 2]> {
+    let within = kind.cause().and_then(Effect::within)?;
+    let mut values: Vec<f64> = named(&problem.data, &within.column)?.to_vec();
+    values.retain(|value| value.is_finite());
+    values.sort_unstable_by(f64::total_cmp);
+    values.dedup();
+    let here = values.partition_point(|value| *value <= within.bound);
+    let step = (values.len() / STEPS).max(1);
+    let is_open = |number: usize| {
+        let bound = 0.5 * (values[number - 1] + values[number]);
+        at_bound(problem, &fitted.model, kind, bound).is_some_and(|(with, _)| is_near(&with))
+    };
+    let below = (1..here).rev().step_by(step).take_while(|number| is_open(*number)).last();
+    let above = (here + 1..values.len()).step_by(step).take_while(|number| is_open(*number)).last();
+    Some([*values.get(below.unwrap_or(here).checked_sub(1)?)?, *values.get(above.unwrap_or(here))?])
 }
 
 /// Returns `model`, fitted, with another bound of its part `kind`, and that part.

@@ -25,7 +25,7 @@
 //! Models whose BIC cannot be told apart are equal; then the simpler cause wins, among those the one
 //! that predicts left-out blocks better, and the machine's own model and sensors come before others.
 
-mod bound;
+pub(crate) mod bound;
 mod choose;
 pub(crate) mod composed;
 pub(crate) mod criterion;

@@ -385,7 +385,7 @@ impl Page for Dependence {
         let mut all = match &self.form {
             Form::Level { levels, .. } => list(level_key, "levels", levels, self.without_amplitude()),
             Form::Curve { at, .. } => list("curve_um", "at", at, 1),
-            Form::Constant { .. } => vec![Parameter::Fitted("level_um", 0, 0.0)],
+            Form::Constant { .. } => vec![Parameter::Fitted(level_key, 0, 0.0)],
             Form::Line { reference, .. } => vec![
                 Parameter::Fitted(slope_key, late, 0.0),
                 Parameter::Fixed("reference", *reference),

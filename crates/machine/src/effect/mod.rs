@@ -267,6 +267,14 @@ impl Effect {
         }
     }
 
+    /// Returns the cause without the range in which it acts.
+    pub(crate) fn everywhere_mut(&mut self) -> &mut Self {
+        match self {
+            Self::Within(within) => &mut within.effect,
+            other => other,
+        }
+    }
+
     /// The range in which alone it acts.
     #[must_use]
     pub fn within(&self) -> Option<&Within> {

@@ -219,7 +219,9 @@ impl Page for Within {
     fn sentence(&self, values: &[f64]) -> String {
         let Self { column, side, bound, .. } = self;
         let sentence = self.effect.sentence(values);
-        format!("{sentence} It acts only where {column} is {} {bound:.6}.", side.name())
+        // As many places as any column of a run file has.
+        let bound = (bound * 1e6).round() / 1e6;
+        format!("{sentence} It acts only where {column} is {} {bound}.", side.name())
     }
 
     fn next_test(&self) -> &'static str {

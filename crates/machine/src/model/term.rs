@@ -58,9 +58,9 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
     (corrected, falling)
 }
 
-/// What the terms of a machine remember from row to row: a lag for each of two inputs of a term.
+/// What the terms of a machine remember from row to row: a lag for each input of a term.
 #[derive(Clone, Debug, Default)]
-pub(super) struct TermLags(Vec<[Lag; 2]>);
+pub(super) struct TermLags(Vec<Vec<Lag>>);
 
 impl TermLags {
     /// The prediction `p_um` of `quantity` with the terms that change it, but for a time shift; `terms`
@@ -77,6 +77,7 @@ impl TermLags {
         let law_um = p_um;
         let mut constant_um = 0.0;
         for (term, lags) in terms.iter().zip(&mut self.0) {
+            lags.resize_with(term.effect.reads().len(), Lag::default);
             if term.quantity == quantity {
                 p_um = changed(term, lags, time_s, situation, [law_um, p_um]);
                 constant_um += term.constant_um;
@@ -89,7 +90,7 @@ impl TermLags {
 /// The prediction with `term`, from that of the law alone and that so far.
 fn changed(
     term: &Term,
-    [lag, second]: &mut [Lag; 2],
+    lags: &mut [Lag],
     time_s: f64,
     situation: &Situation<'_>,
     [law_um, p_um]: [f64; 2],
@@ -100,13 +101,12 @@ fn changed(
     }
     let of = |axis: LinearAxis| situation.position_mm[axis.index()];
     let values = effect.values();
-    let mut read = |(number, input): (usize, &Input<'_>)| match *input {
+    let read = |(input, lag): (&Input<'_>, &mut Lag)| match *input {
         Input::Predicted => p_um,
         Input::Law => law_um,
         Input::Time => time_s,
         Input::Run => situation.run.unwrap_or(f64::NAN),
         Input::Temperature { column, lag_s } => {
-            let lag = if number == 0 { &mut *lag } else { &mut *second };
             lag.step(lag_s, time_s, situation.temperature_c(column))
         }
         Input::Speed => situation.spindle_rpm.unwrap_or(f64::NAN),
@@ -126,7 +126,7 @@ fn changed(
         // Only a diagnosis reads it, to find the error of an instrument.
         Input::Believed => f64::NAN,
     };
-    let x: Vec<f64> = effect.reads().iter().enumerate().map(&mut read).collect();
+    let x: Vec<f64> = effect.reads().iter().zip(lags).map(read).collect();
     p_um + effect.at_row(&values, &x)
 }
 

@@ -44,3 +44,26 @@ times = "growth"
 levels = [0.0, 1.0]
 level_factor = [0.02, 0.13]
 lag_s = 500.0"#;
+pub const LATE_LINE: &str = r#"column = "coolant_bar"
+form = "line"
+um_per_unit = 0.3
+reference = 20.0
+lag_s = 900.0"#;
+pub const CURVE: &str = r#"column = "coolant_bar"
+form = "curve"
+at = [2.0, 20.0, 40.0]
+curve_um = [0.0, 4.0, 5.0]"#;
+pub const LATE_DIFFERENCE: &str = r#"column = "temp_a_c"
+form = "line"
+minus = "temp_b_c"
+um_per_unit = -1.7
+reference = 0.5
+lag_s = 700.0"#;
+pub const LEVEL_IN_A_RANGE: &str = r#"column = "spindle_rpm"
+form = "level"
+level_um = [4.0]
+where_column = "spindle_rpm"
+where_above = 3000.0"#;
+pub const GROWTH_IN_A_RANGE: &str = r#"um_per_krpm2 = 0.1
+where_column = "temp_a_c"
+where_below = 25.0"#;
