@@ -55,7 +55,7 @@ pub struct Pair {
     pub notes: Vec<String>,
 }
 
-/// What readings are compared over.
+/// Columns over which readings are compared.
 #[derive(Clone, Copy)]
 enum Over<'a> {
     Time(&'a [f64]),

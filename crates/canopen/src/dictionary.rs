@@ -157,11 +157,11 @@ pub enum ObjectKind {
     ReferenceAge,
     /// How far a part, 0…4, differs from what the calibration says.
     Learned(u8),
-    /// Number of the tool that the terms go by; 0: none, or nobody has said.
+    /// Number of the tool that the terms go by; 0: none, or not known.
     Tool,
     /// A bit for each condition that the terms go by.
     Conditions,
-    /// Whose tool and conditions these are: 0 nobody has said, or no term needs them, 1 the CNC's, 2 the calibration's
+    /// Whose tool and conditions these are: 0 not known, or no term needs them, 1 the CNC's, 2 the calibration's
     /// defaults in place of the CNC's, which are lost.
     ConditionsOrigin,
     /// RMS noise of the raw codes in thousandths of a code.

@@ -1,4 +1,4 @@
-//! What is handed out with a release: `cargo xtask release` puts it into `target/release-files`.
+//! The files of a release: `cargo xtask release` writes them to `target/release-files`.
 //!
 //! | for | files |
 //! |---|---|
@@ -44,7 +44,7 @@ const PLATFORMS: [Platform; 3] = [
     },
 ];
 
-/// What was made, and what was left out and why.
+/// Files that were written, and those that were left out, with the reason.
 #[derive(Debug, Default)]
 pub struct Release {
     /// The folder of all files.

@@ -70,7 +70,7 @@ pub const REFERENCE_ORIGIN: At = (0x2010, 12);
 pub const REFERENCE_AGE: At = (0x2010, 13);
 /// What was learned, as it is applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
-/// The tool, the conditions, and whose they are: 0 nobody has said or no term needs them, 1 the CNC's, 2 lost.
+/// The tool, the conditions, and whose they are: 0 not known or no term needs them, 1 the CNC's, 2 lost.
 pub const CONDITIONS: [At; 3] = [(0x2012, 1), (0x2012, 2), (0x2012, 3)];
 /// The elongation in thousandths of a µm, as of this moment.
 pub const ELONGATION: At = (0x9130, trueup_canopen::dictionary::ELONGATION_INPUT);

@@ -173,7 +173,7 @@ fn learned(session: &mut Session) -> Option<String> {
     live::text(&amounts)
 }
 
-/// Tool and conditions, in words. A bridge from before it could hear them knows nothing of them.
+/// Returns tool and conditions in words; none of a bridge whose firmware is older than the frame `Conditions`.
 fn conditions(session: &mut Session) -> Option<String> {
     let [tool, bits, origin] =
         object::CONDITIONS.map(|at| object::number(session, at).unwrap_or_default());

@@ -17,7 +17,7 @@ use trueup_screen::{
 use super::{Port, plain, who};
 use crate::Outcome;
 
-/// A picture is drawn after so many seconds, unless --count says another number.
+/// Seconds until a picture is drawn, without --count.
 const PICTURE_S: u64 = 5;
 
 #[derive(Args)]

@@ -416,6 +416,28 @@ mod tests {
         assert_eq!(shifts_s("", stated), [-60.0, 60.0]);
     }
 
+    /// What comes sooner than 300 s is growth by the speed itself.
+    #[test]
+    fn heat_of_the_speed_has_its_shortest_time_constant_in_the_fit_too() {
+        let mut text = String::from("time_s,spindle_rpm,measured_elongation_um\n");
+        for row in 0..200 {
+            text += &format!("{},{},0.0\n", 60 * row, 6000 * (row / 20 % 3));
+        }
+        let file = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[[term]]\nquantity = \"elongation\"\ncause = \
+                    \"extra-heat-path\"\ncolumn = \"spindle_rpm\"\num_per_krpm2 = 0.5\ntime_constant_s = 900.0\n";
+        let machine = MachineFile::parse(file, Path::new("m.toml")).expect("a machine file");
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+        let data = Data::new(&machine, &[run], Quantity::Elongation).expect("comparable");
+        let mut part = Part::stated(&data.stated[0]);
+        part.values[0] = 20.0;
+        let groups = Groups::new(&data, &data.used.clone(), 1);
+        let problem = Problem::new(data, groups);
+        let mut model = Model { parts: vec![part], constant_um: None };
+        problem.keep(&mut model);
+        assert_eq!(model.parts[0].values[0], 300.0);
+        assert!(problem.is_at_the_end(&model.parts[0]));
+    }
+
     #[test]
     fn what_multiplies_the_growth_is_of_groups_what_it_is_of_their_rows() {
         let mut text = String::from("time_s,temp_a_c,measured_elongation_um,measured_dz_um\n");

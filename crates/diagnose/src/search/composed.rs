@@ -7,6 +7,7 @@ use crate::{
     fit::{Fitted, Problem, fit},
     kind::{Kind, Part},
     search::{
+        Breadth,
         criterion::{CHOICE, EQUAL_PREDICTION},
         extend::{Extension, centred_effect, extensions, take_back},
         state::Search,
@@ -67,6 +68,9 @@ impl Search<'_> {
 
     /// Two paths of heat may be the difference of two temperatures. Tries that in their place.
     pub(super) fn difference_for_two_paths(&mut self) {
+        if self.breadth == Breadth::Simple {
+            return;
+        }
         let paths: Vec<(Kind, String)> = self
             .added
             .iter()
