@@ -117,9 +117,15 @@ impl Cnc {
     /// Runs these lines, with the lowest position and the fastest way down in mm and mm/s; an error of LinuxCNC is one.
     fn run(&mut self, lines: &str) -> Result<[f64; 2]> {
         for name in ["lowest", "fastest"] {
-            for reset in [1, 0] {
-                self.headless.halcmd(&format!("setp {name}.reset {reset}"))?;
-            }
+            self.headless.halcmd(&format!("setp {name}.reset 1"))?;
+        }
+        // A servo thread that comes late would never see a reset that is withdrawn at once, and the way to the
+        // start would count as the job's.
+        let pins = ["lowest.in", "lowest.min", "fastest.in", "fastest.min"];
+        self.headless
+            .wait("the reset", 20, &pins, |seen| seen[0] == seen[1] && seen[2] == seen[3])?;
+        for name in ["lowest", "fastest"] {
+            self.headless.halcmd(&format!("setp {name}.reset 0"))?;
         }
         fs::write(self.headless.folder().join("job.ngc"), format!("{lines}\nM2\n"))?;
         self.stat()?;
