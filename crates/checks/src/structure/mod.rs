@@ -7,6 +7,7 @@
 
 mod causes;
 mod circles;
+mod modules;
 mod source;
 
 use std::{fmt::Write as _, path::Path};
@@ -27,11 +28,13 @@ struct Limits {
     circles: usize,
     /// Files above [`LONGEST`] lines.
     long_files: usize,
+    /// Files that `rustfmt` does not see.
+    unseen: usize,
     /// Places that name the one cause that is named in most.
     places: usize,
 }
 
-const LIMITS: Limits = Limits { circles: 0, long_files: 0, places: 2 };
+const LIMITS: Limits = Limits { circles: 0, long_files: 0, unseen: 0, places: 2 };
 
 /// Counts, and gives what was found as text, one count a heading and what it counts below.
 ///
@@ -65,6 +68,11 @@ pub fn check(root: &Path) -> Result<String> {
     head(&mut text, &format!("files above {LONGEST} lines"), long.len(), LIMITS.long_files)?;
     for source in &long {
         writeln!(text, "    {:5}  {}", source.lines(), source.path)?;
+    }
+    let unseen = modules::unseen(&sources);
+    head(&mut text, "files that the format check does not see", unseen.len(), LIMITS.unseen)?;
+    for path in &unseen {
+        writeln!(text, "    {path}")?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
     head(&mut text, &what, places.len(), LIMITS.places)?;

@@ -29,8 +29,8 @@ use crate::{
     file::axis::LinearAxis,
     file::read::Section,
     file::straightness::{BSpline, read_spline},
-    model::straightness::spline_weights,
     location::BadInput,
+    model::straightness::spline_weights,
 };
 
 /// An angle that goes with the position of an axis, times a lever.
@@ -69,8 +69,11 @@ impl Page for AngularError {
         let own = host.quantity.axis()?;
         let Tilt { along, lever, .. } = self.0;
         if lever == own {
-            Some("has its lever along another axis than the one in error: a turn moves nothing \
-                  along its own lever".into())
+            Some(
+                "has its lever along another axis than the one in error: a turn moves nothing \
+                  along its own lever"
+                    .into(),
+            )
         } else {
             (along.unwrap_or(own) == lever)
                 .then(|| "has its lever along another axis than the one that tilts".into())
@@ -122,9 +125,10 @@ impl Page for AngularError {
     }
 
     fn sentence(&self, values: &[f64]) -> String {
-        let tilts = self.0.along.map_or("The axis".into(), |axis| {
-            format!("The {} axis", axis.name().to_uppercase())
-        });
+        let tilts = self
+            .0
+            .along
+            .map_or("The axis".into(), |axis| format!("The {} axis", axis.name().to_uppercase()));
         let lever = self.0.lever.name().to_uppercase();
         match &self.0.angle {
             Angle::Line(_) => format!(
@@ -159,9 +163,10 @@ impl Page for AngularError {
         };
         parameters.push(Parameter::Fitted("origin_mm", 0, 0.0));
         let said = self.0.along.map(|axis| ("along", axis)).into_iter();
-        parameters.extend(said.chain([("lever", self.0.lever)]).map(|(key, axis)| {
-            Parameter::Said(key, Value::Text(axis.name().into()))
-        }));
+        parameters.extend(
+            said.chain([("lever", self.0.lever)])
+                .map(|(key, axis)| Parameter::Said(key, Value::Text(axis.name().into()))),
+        );
         parameters
     }
 }

@@ -5,17 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
 use crate::{
-    file::axis::LinearAxis,
-    model::pitch::is_reverse,
-    location::BadInput,
-    file::read::Section,
+    file::axis::LinearAxis, file::read::Section, location::BadInput, model::pitch::is_reverse,
 };
 
 /// A width.
@@ -81,7 +75,11 @@ impl Definition for Backlash {
         add(0, if is_reverse(x[0]) { 1.0 } else { 0.0 });
     }
 
-    fn from_board(_own: Option<LinearAxis>, form: &OnBoard, _constant_um: &mut f64) -> Option<Self> {
+    fn from_board(
+        _own: Option<LinearAxis>,
+        form: &OnBoard,
+        _constant_um: &mut f64,
+    ) -> Option<Self> {
         match *form {
             OnBoard::Reversed { width_um, um_per_m: 0.0 } => Some(Self { width_um }),
             _ => None,

@@ -5,17 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A parabola of the speed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,10 +47,7 @@ impl Page for CentrifugalGrowth {
     }
 
     fn sentence(&self, values: &[f64]) -> String {
-        format!(
-            "Speed itself stretches the spindle: {:+.3} µm at 10 000 r/min.",
-            values[0] * 100.0
-        )
+        format!("Speed itself stretches the spindle: {:+.3} µm at 10 000 r/min.", values[0] * 100.0)
     }
 
     fn next_test(&self) -> &'static str {
@@ -84,7 +74,11 @@ impl Definition for CentrifugalGrowth {
         add(0, (x[0] / 1000.0).powi(2));
     }
 
-    fn from_board(_own: Option<LinearAxis>, form: &OnBoard, _constant_um: &mut f64) -> Option<Self> {
+    fn from_board(
+        _own: Option<LinearAxis>,
+        form: &OnBoard,
+        _constant_um: &mut f64,
+    ) -> Option<Self> {
         match *form {
             OnBoard::Speed(um_per_krpm2) => Some(Self { um_per_krpm2 }),
             _ => None,

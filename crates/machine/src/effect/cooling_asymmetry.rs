@@ -6,17 +6,13 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
-        Parameter, Stage, Value, minutes, positive,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+        minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey},
     thermal_lag::ThermalLag,
 };
-use crate::{
-    file::spindle::ElongationSource,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
 
 /// Another lag while it falls.
 #[derive(Clone, Debug, Default, PartialEq)]

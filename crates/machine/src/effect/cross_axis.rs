@@ -5,17 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Host, Input, OnBoard, Page,
-        Parameter, Value, axis, number,
-    },
+    page::{Definition, Entry, Home, Host, Input, OnBoard, Page, Parameter, Value, axis, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A slope along another axis.
 #[derive(Clone, Debug, PartialEq)]

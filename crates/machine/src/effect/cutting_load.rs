@@ -5,17 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A compliance.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -81,7 +74,11 @@ impl Definition for CuttingLoad {
         add(0, -x[0]);
     }
 
-    fn from_board(_own: Option<LinearAxis>, form: &OnBoard, _constant_um: &mut f64) -> Option<Self> {
+    fn from_board(
+        _own: Option<LinearAxis>,
+        form: &OnBoard,
+        _constant_um: &mut f64,
+    ) -> Option<Self> {
         match form {
             OnBoard::Load(um_per_n) => Some(Self { um_per_n: -um_per_n }),
             _ => None,

@@ -16,21 +16,20 @@
 
 use super::{
     page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value,
-        minutes,
+        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value, minutes,
     },
     survey::{Settings, Survey},
 };
 use crate::{
     file::{axis::LinearAxis, inputs::is_temperature_column, read::Section, tools::Tools},
-    tool::TOOL_COLUMN,
     location::BadInput,
+    tool::TOOL_COLUMN,
 };
 use board::{Levels, levels_of};
 use propose::propose;
 use read::read;
-pub(super) use times::SPEED;
 use times::LOAD;
+pub(super) use times::SPEED;
 use values::SWITCH;
 
 mod board;
@@ -383,7 +382,9 @@ impl Page for Dependence {
             vec![Parameter::Record(key, record)]
         };
         let mut all = match &self.form {
-            Form::Level { levels, .. } => list(level_key, "levels", levels, self.without_amplitude()),
+            Form::Level { levels, .. } => {
+                list(level_key, "levels", levels, self.without_amplitude())
+            }
             Form::Curve { at, .. } => list("curve_um", "at", at, 1),
             Form::Constant { .. } => vec![Parameter::Fitted(level_key, 0, 0.0)],
             Form::Line { reference, .. } => vec![

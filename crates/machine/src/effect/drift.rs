@@ -8,16 +8,10 @@
 //! middle of them and not before the first.
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, Page, Parameter, Value, number},
     survey::{Settings, Survey, targets},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// A slope of the time, or from run to run.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,7 +95,9 @@ impl Page for Drift {
 
     fn next_test(&self) -> &'static str {
         match self {
-            Self::InTime { .. } => "Repeat the run on another day: a drift that repeats has a cause.",
+            Self::InTime { .. } => {
+                "Repeat the run on another day: a drift that repeats has a cause."
+            }
             Self::ByRun { .. } => {
                 "Write the time of each reading into the run (time_s), and the temperature of the \
                  machine: a drift has a cause."
@@ -118,7 +114,11 @@ impl Definition for Drift {
     const NAME: &'static str = "drift";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&"um_per_run") { &["um_per_run", "reference_run"] } else { &["um_per_h"] }
+        if section.keys().contains(&"um_per_run") {
+            &["um_per_run", "reference_run"]
+        } else {
+            &["um_per_h"]
+        }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
@@ -132,18 +132,22 @@ impl Definition for Drift {
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, match self {
-            Self::InTime { .. } => x[0] / 3600.0,
-            // A record that is of no run is of the middle one.
-            Self::ByRun { .. } if x[0].is_nan() => 0.0,
-            Self::ByRun { reference_run, .. } => x[0] - reference_run,
-        });
+        add(
+            0,
+            match self {
+                Self::InTime { .. } => x[0] / 3600.0,
+                // A record that is of no run is of the middle one.
+                Self::ByRun { .. } if x[0].is_nan() => 0.0,
+                Self::ByRun { reference_run, .. } => x[0] - reference_run,
+            },
+        );
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         if survey.time_s().is_some() {
             with(Self::InTime { um_per_h: 0.0 }, Settings::none());
-        } else if let Some(run) = survey.column("run").filter(|run| targets(run, 1e-3).len() >= LEAST_RUNS)
+        } else if let Some(run) =
+            survey.column("run").filter(|run| targets(run, 1e-3).len() >= LEAST_RUNS)
         {
             let known = || run.iter().filter(|run| run.is_finite());
             let reference_run = known().sum::<f64>() / known().count() as f64;

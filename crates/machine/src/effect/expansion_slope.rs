@@ -5,16 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Constants, Definition, Entry, Home, Host, Page,
-        Parameter, Stage, Value, number,
-    },
+    page::{Constants, Definition, Entry, Home, Host, Page, Parameter, Stage, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// Another slope.
 #[derive(Clone, Debug, PartialEq)]

@@ -11,8 +11,8 @@ use super::{
     dependence::SPEED,
     heat,
     page::{
-        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page,
-        Parameter, SpeedHeat, Value, minutes, number,
+        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page, Parameter,
+        SpeedHeat, Value, minutes, number,
     },
     survey::{Settings, Survey, TIME_CONSTANTS},
 };
@@ -23,10 +23,8 @@ use crate::{
 };
 
 /// The powers of the speed: the value of `input`, and the key of c.
-const POWERS: [(SpeedPower, &str, &str); 2] = [
-    (SpeedPower::Second, "speed2", "um_per_krpm2"),
-    (SpeedPower::First, "speed", "um_per_krpm"),
-];
+const POWERS: [(SpeedPower, &str, &str); 2] =
+    [(SpeedPower::Second, "speed2", "um_per_krpm2"), (SpeedPower::First, "speed", "um_per_krpm")];
 
 /// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). What comes sooner
 /// is no heat, but any law of the speed.
@@ -88,7 +86,8 @@ fn power_of(section: &Section<'_>) -> SpeedPower {
 /// Whether `section` is about the speed.
 fn is_of_speed(section: &Section<'_>) -> bool {
     let keys = section.keys();
-    let is_own = |key: &&str| *key == "input" || POWERS.iter().any(|(.., amplitude)| key == amplitude);
+    let is_own =
+        |key: &&str| *key == "input" || POWERS.iter().any(|(.., amplitude)| key == amplitude);
     keys.iter().any(is_own) || section.text("column").is_ok_and(|column| column == Some(SPEED))
 }
 
@@ -259,10 +258,13 @@ impl Definition for ExtraHeatPath {
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, match self {
-            Self::OfTemperature(heat) => x[0] - heat.reference_c,
-            Self::OfSpeed(_) => x[0],
-        });
+        add(
+            0,
+            match self {
+                Self::OfTemperature(heat) => x[0] - heat.reference_c,
+                Self::OfSpeed(_) => x[0],
+            },
+        );
     }
 
     fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {

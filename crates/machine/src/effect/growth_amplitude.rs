@@ -5,17 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Stage, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Stage, Value, number},
     survey::{Settings, Survey, spread},
 };
-use crate::{
-    file::spindle::ElongationSource,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
 
 /// A factor of the growth.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,7 +87,10 @@ impl Definition for GrowthAmplitude {
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
-        let grows = matches!(survey.source(), Some(ElongationSource::Temperature | ElongationSource::Warmup));
+        let grows = matches!(
+            survey.source(),
+            Some(ElongationSource::Temperature | ElongationSource::Warmup)
+        );
         if grows && spread(survey.law()) > 0.0 {
             with(Self::default(), Settings::none());
         }

@@ -6,16 +6,12 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
-        Parameter, Stage, Value, minutes, positive,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+        minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey},
 };
-use crate::{
-    file::spindle::ElongationSource,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
 
 /// A warm-up without an end.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -4,7 +4,7 @@
 //! it needs, its law in `f64`, where a search for it begins, whether a correction may be built on it,
 //! what it is on the board, and what it means to people. All others ask the page: reading, writing,
 //! predicting, compiling, showing, diagnosing, exporting. A new cause is a page and a line in the
-//! list below.
+//! list below, with its `mod` line: `rustfmt` does not look into macros.
 //!
 //! | file | is |
 //! |---|---|
@@ -27,13 +27,46 @@
 //! heat add. Predicting, compiling and diagnosing have this order from
 //! [`in_order`](crate::file::in_order).
 
+mod angular_error;
+mod axis_expansion;
+mod backlash;
 mod category;
+mod centrifugal_growth;
+mod cooling_asymmetry;
+mod cross_axis;
+mod cutting_load;
+mod dependence;
+mod drift;
+mod expansion_constant;
+mod expansion_slope;
+mod extra_heat_path;
+mod feed_dependent_backlash;
 mod forms;
+mod growth_amplitude;
+mod growth_rate;
 mod heat;
 mod law;
+mod outliers;
 mod page;
+mod pitch_error;
+mod pitch_periodic;
+mod pitch_scale;
+mod position_dependent_backlash;
 mod quantity;
+mod reference_instrument;
+mod reference_temperature;
+mod sensor_curvature;
+mod sensor_gain;
+mod sensor_offset;
+mod sensor_saturation;
+mod sensor_temperature_drift;
+mod slow_mode;
+mod step;
+mod straightness;
 mod survey;
+mod thermal_lag;
+mod thermometer_lag;
+mod time_shift;
 mod wave;
 mod within;
 
@@ -58,7 +91,6 @@ use page::Definition;
 
 macro_rules! causes {
     ($($module:ident::$Page:ident $text:literal,)*) => {
-        $(mod $module;)*
         $(pub use $module::$Page;)*
 
         /// A cause.

@@ -1,13 +1,7 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
 
-use super::page::{
-        Definition, Entry, Home, Input, Page,
-        Parameter, Value,
-    };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use super::page::{Definition, Entry, Home, Input, Page, Parameter, Value};
+use crate::{file::read::Section, location::BadInput};
 
 /// Rows that were set aside.
 #[derive(Clone, Debug, Default, PartialEq)]

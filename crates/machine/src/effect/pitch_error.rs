@@ -5,18 +5,15 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value},
     survey::{Settings, Survey, spread, targets},
 };
 use crate::{
-    file::axis::{LinearAxis, Pitch},
     file::axis::read_pitch,
-    model::pitch::is_reverse,
-    location::BadInput,
+    file::axis::{LinearAxis, Pitch},
     file::read::Section,
+    location::BadInput,
+    model::pitch::is_reverse,
 };
 
 /// A table.
@@ -129,7 +126,8 @@ impl Definition for PitchError {
         // A missing position is at no point, and what follows is missing as well.
         let low = (at as usize).min(points.saturating_sub(2));
         let share = at - low as f64;
-        let offset = if x.get(1).is_some_and(|&direction| is_reverse(direction)) { points } else { 0 };
+        let offset =
+            if x.get(1).is_some_and(|&direction| is_reverse(direction)) { points } else { 0 };
         add(offset + low, 1.0 - share);
         if points > 1 {
             add(offset + low + 1, share);
@@ -153,7 +151,10 @@ impl Definition for PitchError {
                 if (!both_ways || survey.turns()) && points >= 3 {
                     let forward_um = vec![0.0; points];
                     let reverse_um = both_ways.then(|| forward_um.clone());
-                    with(Self(Pitch { start_mm, step_mm, forward_um, reverse_um }), Settings::none());
+                    with(
+                        Self(Pitch { start_mm, step_mm, forward_um, reverse_um }),
+                        Settings::none(),
+                    );
                 }
             }
         }

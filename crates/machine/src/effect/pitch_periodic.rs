@@ -7,18 +7,11 @@
 use std::f64::consts::TAU;
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page,
-        Parameter, Value, positive,
-    },
+    page::{Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Value, positive},
     survey::{Reading, Settings, Survey, targets},
     wave::{self, Wave},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// Waves of one period.
 #[derive(Clone, Debug, PartialEq)]

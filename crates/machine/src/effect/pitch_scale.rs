@@ -5,17 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A slope along the own axis.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -5,17 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, OnBoard, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
 use crate::{
-    file::axis::LinearAxis,
-    model::pitch::is_reverse,
-    location::BadInput,
-    file::read::Section,
+    file::axis::LinearAxis, file::read::Section, location::BadInput, model::pitch::is_reverse,
 };
 
 /// A backlash that grows along the axis.
@@ -78,7 +72,11 @@ impl Definition for PositionDependentBacklash {
         add(0, if is_reverse(x[1]) { x[0] / 1000.0 } else { 0.0 });
     }
 
-    fn from_board(_own: Option<LinearAxis>, form: &OnBoard, _constant_um: &mut f64) -> Option<Self> {
+    fn from_board(
+        _own: Option<LinearAxis>,
+        form: &OnBoard,
+        _constant_um: &mut f64,
+    ) -> Option<Self> {
         match *form {
             OnBoard::Reversed { um_per_m, .. } if um_per_m != 0.0 => Some(Self { um_per_m }),
             _ => None,

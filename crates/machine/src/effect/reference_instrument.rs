@@ -12,17 +12,11 @@
 use std::f64::consts::TAU;
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, Page,
-        Parameter, Value,
-    },
+    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value},
     survey::{Reading, Settings, Survey},
     wave::{self, Wave},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// What a wave goes with.
 #[derive(Clone, Debug, PartialEq)]

@@ -8,11 +8,7 @@ use super::{
     page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A shift of what is predicted.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -11,9 +11,9 @@ use super::{
     survey::{Settings, Survey, spread},
 };
 use crate::{
+    file::read::Section,
     file::{axis::LinearAxis, spindle::ElongationSource},
     location::BadInput,
-    file::read::Section,
 };
 
 /// A limit.

@@ -9,10 +9,7 @@ use super::{
     page::{Definition, Entry, Heat, Home, Input, OnBoard, Page, Parameter, number},
     survey::{Settings, Survey, spread},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// Heat without a lag.
 #[derive(Clone, Debug, PartialEq)]

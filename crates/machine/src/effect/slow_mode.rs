@@ -8,16 +8,12 @@
 use super::{
     heat,
     page::{
-        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page,
-        Parameter, Value, minutes, number, positive,
+        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page, Parameter, Value,
+        minutes, number, positive,
     },
     survey::{Settings, Survey, TIME_CONSTANTS},
 };
-use crate::{
-    file::axis::LinearAxis,
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A slow part, by the time or by a temperature.
 #[derive(Clone, Debug, PartialEq)]
@@ -172,15 +168,18 @@ impl Definition for SlowMode {
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, match self {
-            Self::InTime { start_s, .. } => {
-                // NaN stays NaN, which max() would lose.
-                let since_s = x[0] - start_s;
-                let since_s = if since_s < 0.0 { 0.0 } else { since_s };
-                -(-since_s / nonlinear[0]).exp_m1()
-            }
-            Self::OfColumn(heat) => x[0] - heat.reference_c,
-        });
+        add(
+            0,
+            match self {
+                Self::InTime { start_s, .. } => {
+                    // NaN stays NaN, which max() would lose.
+                    let since_s = x[0] - start_s;
+                    let since_s = if since_s < 0.0 { 0.0 } else { since_s };
+                    -(-since_s / nonlinear[0]).exp_m1()
+                }
+                Self::OfColumn(heat) => x[0] - heat.reference_c,
+            },
+        );
     }
 
     fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {

@@ -5,16 +5,10 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, Page,
-        Parameter, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// A jump.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -83,11 +77,14 @@ impl Definition for Step {
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {
-        add(0, match x[0] {
-            missing if missing.is_nan() => f64::NAN,
-            time_s if time_s >= nonlinear[0] => 1.0,
-            _ => 0.0,
-        });
+        add(
+            0,
+            match x[0] {
+                missing if missing.is_nan() => f64::NAN,
+                time_s if time_s >= nonlinear[0] => 1.0,
+                _ => 0.0,
+            },
+        );
     }
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {

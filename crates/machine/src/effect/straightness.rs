@@ -5,18 +5,15 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Host, Input, OnBoard, Page,
-        Parameter, Value, axis,
-    },
+    page::{Definition, Entry, Home, Host, Input, OnBoard, Page, Parameter, Value, axis},
     survey::{Settings, Survey, even_knots, targets},
 };
 use crate::{
-    file::{axis::LinearAxis, straightness::BSpline},
-    file::straightness::read_spline,
-    model::straightness::spline_weights,
-    location::BadInput,
     file::read::Section,
+    file::straightness::read_spline,
+    file::{axis::LinearAxis, straightness::BSpline},
+    location::BadInput,
+    model::straightness::spline_weights,
 };
 
 /// A spline over another axis.
@@ -101,10 +98,7 @@ impl Page for Straightness {
         let mut fitted = self.clone();
         fitted.set(values);
         let entries = fitted.entries().into_iter();
-        vec![Parameter::Record(
-            "spline",
-            entries.map(|(key, value)| (key, Some(value))).collect(),
-        )]
+        vec![Parameter::Record("spline", entries.map(|(key, value)| (key, Some(value))).collect())]
     }
 }
 

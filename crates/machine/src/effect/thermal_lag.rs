@@ -6,15 +6,12 @@
 
 use super::{
     page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page,
-        Parameter, Stage, Value, minutes, positive,
+        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+        minutes, positive,
     },
     survey::{FINE_TIME_CONSTANTS, Settings, Survey, TIME_CONSTANTS},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// Another lag.
 #[derive(Clone, Debug, Default, PartialEq)]

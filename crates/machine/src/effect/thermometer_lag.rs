@@ -121,7 +121,8 @@ impl Page for ThermometerLag {
     }
 
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
-        let said = self.form_entries().into_iter().map(|(name, value)| Parameter::Said(name, value));
+        let said =
+            self.form_entries().into_iter().map(|(name, value)| Parameter::Said(name, value));
         [Parameter::Fitted("time_constant_s", 0, 0.0)].into_iter().chain(said).collect()
     }
 }

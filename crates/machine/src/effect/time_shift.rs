@@ -9,16 +9,10 @@
 //! `time_s`, `gauge_time_s`.
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, Page,
-        Parameter, Stage, Value, number,
-    },
+    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Stage, Value, number},
     survey::{Settings, Survey},
 };
-use crate::{
-    location::BadInput,
-    file::read::Section,
-};
+use crate::{file::read::Section, location::BadInput};
 
 /// A shift in time.
 #[derive(Clone, Debug, Default, PartialEq)]

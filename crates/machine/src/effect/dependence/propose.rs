@@ -1,8 +1,15 @@
 //! Which dependences the recorded columns allow, and where a search begins.
 
-use super::{Dependence, Form, times::{LOAD, SPEED}, values::{KNOTS, SWITCH, bends, knots, levels, tools, zero_of}};
+use super::{
+    Dependence, Form,
+    times::{LOAD, SPEED},
+    values::{KNOTS, SWITCH, bends, knots, levels, tools, zero_of},
+};
 use crate::{
-    effect::{page::Times, survey::{Settings, Survey, TIME_CONSTANTS, spread}},
+    effect::{
+        page::Times,
+        survey::{Settings, Survey, TIME_CONSTANTS, spread},
+    },
     file::spindle::ElongationSource,
     tool::TOOL_COLUMN,
 };
@@ -50,7 +57,8 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Sett
             if levels.is_some() {
                 // A tool that never turned says nothing of what it does at speed.
                 let acting = acting(survey, values, &times);
-                let levels = if column == TOOL_COLUMN { tools(&acting) } else { self::levels(&acting) };
+                let levels =
+                    if column == TOOL_COLUMN { tools(&acting) } else { self::levels(&acting) };
                 let Some(levels) = levels else { continue };
                 let added = vec![0.0; levels.len()];
                 let is_switch = levels == SWITCH;
@@ -104,11 +112,15 @@ fn of_temperatures(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Setting
             with(Dependence { form, ..Dependence::of(column) }, bends);
         }
         for &(minus, of_minus) in &all[number + 1..] {
-            let reference = values.iter().zip(of_minus).map(|(a, b)| a - b).find(|it| it.is_finite());
+            let reference =
+                values.iter().zip(of_minus).map(|(a, b)| a - b).find(|it| it.is_finite());
             let form = Form::Line { slope: 0.0, reference: reference.unwrap_or(0.0) };
             let minus = Some(minus.to_string());
             let at_once = Dependence { minus, form, ..Dependence::of(column) };
-            with(Dependence { lag_s: 1.0, ..at_once.clone() }, survey.time_constants(TIME_CONSTANTS));
+            with(
+                Dependence { lag_s: 1.0, ..at_once.clone() },
+                survey.time_constants(TIME_CONSTANTS),
+            );
             with(at_once, Settings::none());
         }
     }
@@ -142,4 +154,3 @@ fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
 fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
     survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
 }
-

@@ -21,8 +21,13 @@ pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
         },
     };
     let minus = section.text("minus")?.map(String::from);
-    if minus.as_deref().is_some_and(|minus| ![&column[..], minus].iter().all(|it| is_temperature_column(it))) {
-        return Err(section.bad("minus", "takes a temperature from another one: both are temp_<name>_c"));
+    if minus
+        .as_deref()
+        .is_some_and(|minus| ![&column[..], minus].iter().all(|it| is_temperature_column(it)))
+    {
+        return Err(
+            section.bad("minus", "takes a temperature from another one: both are temp_<name>_c")
+        );
     }
     let lag_s = section.not_negative("lag_s")?.unwrap_or(0.0);
     let [slope_key, level_key] = times.keys();
@@ -87,4 +92,3 @@ fn curve(section: &Section<'_>, times: &Times) -> Result<Form, BadInput> {
     }
     Ok(Form::Curve { at, added })
 }
-

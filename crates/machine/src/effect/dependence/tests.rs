@@ -12,7 +12,8 @@ fn page(form: Form, times: Times) -> Dependence {
 
 #[test]
 fn a_level_adds_its_own_value_and_an_unseen_one_nothing() {
-    let levels = Form::Level { levels: vec![2.0, 1.0, 3.0], added: vec![0.0, 4.0, -3.0], otherwise: 0.0 };
+    let levels =
+        Form::Level { levels: vec![2.0, 1.0, 3.0], added: vec![0.0, 4.0, -3.0], otherwise: 0.0 };
     let page_of_levels = page(levels, Times::One);
     let at = |level: f64| added(&page_of_levels, &[level]);
     assert_eq!([at(2.0), at(1.0), at(3.0), at(7.0)], [0.0, 4.0, -3.0, 0.0]);

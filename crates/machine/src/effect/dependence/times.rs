@@ -1,7 +1,11 @@
 //! What a dependence on a column is multiplied by.
 
 use crate::{
-    effect::{forms::Times, page::Input, survey::{Settings, Survey, spread}},
+    effect::{
+        forms::Times,
+        page::Input,
+        survey::{Settings, Survey, spread},
+    },
     file::inputs::is_temperature_column,
 };
 
@@ -52,7 +56,12 @@ impl Times {
         let low = finite.clone().fold(f64::INFINITY, f64::min);
         let width = spread(values);
         *range = [low - width, low + 2.0 * width];
-        Some(Settings::at([low - 0.5 * width, low + 0.25 * width, low + 0.75 * width, low + 1.5 * width]))
+        Some(Settings::at([
+            low - 0.5 * width,
+            low + 0.25 * width,
+            low + 0.75 * width,
+            low + 1.5 * width,
+        ]))
     }
 
     /// Returns the range of its reference, where that is fitted.

@@ -22,7 +22,11 @@ pub(super) fn zero_of(values: &[f64]) -> f64 {
     let (low, high) = finite().fold((f64::INFINITY, 0.0_f64), |(low, high), value| {
         (low.min(value.abs()), high.max(value.abs()))
     });
-    if low <= NEAR_ZERO * high { 0.0 } else { finite().sum::<f64>() / finite().count().max(1) as f64 }
+    if low <= NEAR_ZERO * high {
+        0.0
+    } else {
+        finite().sum::<f64>() / finite().count().max(1) as f64
+    }
 }
 
 /// The levels of a column that is a category, the most frequent one first; none of any other column.
@@ -65,7 +69,8 @@ pub(super) fn bends(values: &[f64]) -> Vec<f64> {
 /// Returns `count` places of a curve: all values of a column that has so many, else the ends and equal shares of the
 /// sorted rows; none if there are fewer.
 pub(super) fn knots(values: &[f64], count: usize) -> Option<Vec<f64>> {
-    let mut different: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+    let mut different: Vec<f64> =
+        values.iter().copied().filter(|value| value.is_finite()).collect();
     different.sort_unstable_by(f64::total_cmp);
     different.dedup();
     if different.len() > count {
@@ -81,8 +86,7 @@ fn shares(values: &[f64], numbers: RangeInclusive<usize>, of: usize) -> Vec<f64>
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let last = sorted.len().saturating_sub(1);
-    let mut values: Vec<f64> =
-        numbers.filter_map(|n| sorted.get(n * last / of).copied()).collect();
+    let mut values: Vec<f64> = numbers.filter_map(|n| sorted.get(n * last / of).copied()).collect();
     values.dedup();
     values
 }
