@@ -19,7 +19,7 @@ use trueup_core::{
 };
 use trueup_diagnose::{Options, Report, diagnose, diagnose_for};
 use trueup_emulator::{front_end::FrontEnd, replay};
-use trueup_fit::{elongation, thermal};
+use trueup_fit::{elongation, pitch, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
@@ -99,6 +99,7 @@ struct Loop<'a> {
     front_end: FrontEnd,
     offsets: OffsetReceiver,
     last: Output,
+    heading: Heading,
     ms: u32,
     counter: u8,
 }
@@ -110,6 +111,7 @@ impl<'a> Loop<'a> {
             front_end: FrontEnd::new(DIVIDER, 1),
             offsets: OffsetReceiver::new(),
             last: Output::default(),
+            heading: Heading::Positive,
             ms: 0,
             counter: 0,
         }
@@ -127,7 +129,7 @@ impl<'a> Loop<'a> {
                 let at = AxisPosition {
                     axis: LinearAxis::X,
                     position: Position((x_mm * f64::from(Position::PER_MILLIMETRE)).round() as i32),
-                    direction: Heading::Positive,
+                    direction: self.heading,
                 };
                 for frame in
                     [frames::control(control, self.counter), frames::position(at, self.counter)]
@@ -290,6 +292,45 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
         (*engaged, (it.value, it.ci95.expect("fitted")))
     });
     agree("fitted slope", 12.5, &fitted);
+}
+
+#[test]
+fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_it_stands() {
+    // Feed-forward: measured five times there and back, stored as tables, laid in from the position and the direction.
+    let error_um = |mm: f64, is_up: bool| {
+        12.0 * (mm / 110.0).sin() + 0.01 * mm - if is_up { 0.0 } else { 5.0 }
+    };
+    let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
+    for run in 0..5 {
+        let noise = |n: usize| [0.21, -0.13, 0.05, -0.17, 0.09, 0.16, -0.2][(n + 3 * run) % 7];
+        for (n, at) in (0..=40).chain((0..=40).rev()).enumerate() {
+            let (mm, is_up) = (f64::from(at) * 10.0, n <= 40);
+            let um = error_um(mm, is_up) + noise(n);
+            writeln!(text, "{run},{mm},{},{um:.3}", if is_up { 1 } else { -1 }).expect("a string");
+        }
+    }
+    let run = RunFile::from_reader(text.as_bytes(), Path::new("laser.csv")).expect("a run file");
+    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+    let axis = trueup_machine::file::LinearAxis::X;
+    let fitted = pitch::fit(&run, axis, &pitch::Options::default());
+    let edit = fitted.expect("the rules are kept").report.edit;
+    let before = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
+                  [limits]\nmax_um = { x = 100, y = 100, z = 100 }\nslew_um_per_s = 10000\n";
+    let written = edit.apply(before, Path::new("m.toml")).expect("a machine file");
+    let compiled = compile(&machine(&written)).expect("it fits the board");
+    let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
+    let (mut worst, mut largest) = (0.0_f64, 0.0_f64);
+    for (mm, is_up) in [(33.3, true), (208.8, true), (391.0, true), (391.0, false), (107.7, false)]
+    {
+        board.heading = if is_up { Heading::Positive } else { Heading::Negative };
+        let offset = board.hold(0.0, 20.0, mm, true).offset.expect("live");
+        let um = f64::from(offset[0].0) / 1_000.0;
+        // The zero of the laser is arbitrary, and so is that of the table: its first point going up.
+        worst = worst.max((um + error_um(mm, is_up)).abs());
+        largest = largest.max(um.abs());
+    }
+    println!("offsets up to {largest:.2} µm leave {worst:.3} µm");
+    assert!(largest > 10.0 && worst < 0.35, "{largest} {worst}");
 }
 
 /// The answer to `records`, and whether the machine file stays as it is.

@@ -328,6 +328,24 @@ fn constant_and_slope_reach_the_nck_with_sign_and_unit_and_go_together() -> Resu
 }
 
 #[test]
+fn the_papers_printed_listing_hands_over_the_counts_and_its_formula_the_temperature() -> Result<()>
+{
+    let output = Command::new(setup::python()?)
+        .arg(setup::root().join("host-tests/python/paper_listing.py"))
+        .output()?;
+    ensure!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let saw: Value = serde_json::from_slice(&output.stdout)?;
+    let counts = [4000, 4376, 4368, 4672, 4007];
+    assert_eq!(saw["counts"], json!(counts));
+    // Tenths of a degree: 0, 23.5, 23, 42 and 0.4375 °C.
+    assert_eq!(saw["right"], json!(counts.map(|it| (it - 4000) * 10 / 16)));
+    // The sum is never stored: neither the words as printed nor those that are meant give a temperature.
+    assert_eq!((&saw["printed"], &saw["meant"]), (&json!(counts), &json!(counts)));
+    assert_eq!(saw["takes_printed_zero"], false, "B#16#4000 is no byte");
+    Ok(())
+}
+
+#[test]
 fn tool_and_conditions_stand_in_the_block_of_the_plc_program_as_the_bridge_checks_them()
 -> Result<()> {
     let _alone = alone();

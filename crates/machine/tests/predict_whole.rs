@@ -101,6 +101,45 @@ fn the_papers_three_kinds_are_a_constant_a_slope_and_both() {
 }
 
 #[test]
+fn constant_and_slope_are_functions_of_the_temperature_each_by_a_table() {
+    // The paper's T-TC curve as two points, with a constant that bends at 30 °C.
+    let axis = mill(
+        "[axis.x.thermal]\nmode = \"both\"\nsensor = \"temp_screw_c\"\norigin_mm = 500\n\
+         table = [[23.0, 0.0, 0.0], [30.0, 7.0, 99.47], [42.0, 1.0, 270.0]]\n",
+    );
+    let rows = predictions(&axis, "temp_screw_c,x_mm\n26.5,1500\n36,2500\n42,500\n50,1500\n");
+    assert_error(&rows[0], [3.5 + 49.735, 0.0, 0.0], 1.0);
+    assert_error(&rows[1], [4.0 + 2.0 * (99.47 + 270.0) / 2.0, 0.0, 0.0], 1.0);
+    assert_error(&rows[2], [1.0, 0.0, 0.0], 1.0);
+    assert_error(&rows[3], [271.0, 0.0, 0.0], 1.0);
+}
+
+#[test]
+fn the_more_points_a_table_has_the_less_it_leaves() {
+    // A screw's error of two waves over 1 m, as tables of 5, 10, 20 and 40 sections.
+    let error_um = |mm: f64| 10.0 * (mm / 80.0).sin() + 4.0 * (mm / 45.0).cos();
+    let left_um = [5, 10, 20, 40].map(|sections: u32| {
+        let step_mm = 1_000.0 / f64::from(sections);
+        let points: Vec<f64> = (0..=sections).map(|n| error_um(f64::from(n) * step_mm)).collect();
+        let axis = mill(&format!(
+            "[axis.x.pitch]\nstart_mm = 0\nstep_mm = {step_mm:?}\nforward_um = {points:?}\n"
+        ));
+        let mut run = String::from("x_mm\n");
+        (0..=500).for_each(|n| writeln!(run, "{}", 2 * n).expect("a String can be written"));
+        let rows = predictions(&axis, &run);
+        let each = rows
+            .iter()
+            .enumerate()
+            .map(|(n, row)| (row.model.error_um[0] - error_um(2.0 * n as f64)).abs());
+        each.fold(0.0, f64::max)
+    });
+    println!("left by 5, 10, 20 and 40 sections: {left_um:.2?} µm");
+    assert!(left_um.windows(2).all(|pair| pair[1] < 0.7 * pair[0]), "{left_um:.2?}");
+
+    assert!(left_um[3] < 0.3);
+}
+
+#[test]
 fn five_metres_of_axis_grow_by_fifty_micrometres_a_kelvin() {
     let axis = mill(
         "[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_screw_c\"\nreference_c = 20\n\

@@ -52,21 +52,22 @@ fn print(entry: &Entry) -> Result<()> {
     Ok(())
 }
 
-fn said(Left { residual, over_a_metre_um }: &Left) -> String {
+fn said(Left { residual, over_a_metre_um, step_um }: &Left) -> String {
     // + 0.0 turns -0 into 0.
     let mean_um = (residual.mean_um * 100.0).round() / 100.0 + 0.0;
     format!(
-        "range {:.2} µm, mean {mean_um:.2} µm, mean square {:.2} µm², {over_a_metre_um:.2} µm in any metre",
+        "range {:.2} µm, mean {mean_um:.2} µm, mean square {:.2} µm², {over_a_metre_um:.2} µm in any metre, \
+         {step_um:.2} µm from one position to the next",
         residual.range_um, residual.mean_square_um2
     )
 }
 
 fn json_of(table: &Table1, page: &Path) -> Value {
-    let left = |Left { residual, over_a_metre_um }: &Left| {
+    let left = |Left { residual, over_a_metre_um, step_um }: &Left| {
         json!({
             "range_um": residual.range_um, "mean_um": residual.mean_um,
             "mean_square_um2": residual.mean_square_um2, "largest_um": residual.largest_um,
-            "over_a_metre_um": over_a_metre_um,
+            "over_a_metre_um": over_a_metre_um, "step_um": step_um,
         })
     };
     let row = |row: &Row| {

@@ -73,6 +73,8 @@ pub struct Left {
     pub residual: Residual,
     /// The largest range within any metre, in µm: a standard may allow 5.
     pub over_a_metre_um: f64,
+    /// The largest change from one position to the next, in µm: small compared with the range where what is left is smooth.
+    pub step_um: f64,
 }
 
 /// A way on a curve or a diagonal.
@@ -339,6 +341,8 @@ impl Left {
             }
             over_a_metre_um = over_a_metre_um.max(high - low);
         }
-        Self { residual: Residual::of(left_um), over_a_metre_um }
+        let steps = left_um.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        let step_um = steps.fold(0.0, f64::max);
+        Self { residual: Residual::of(left_um), over_a_metre_um, step_um }
     }
 }

@@ -66,6 +66,7 @@ fn each_of_the_six_curves_is_within_the_papers_residual_with_fewer_coefficients(
             }
             assert_eq!(fit.stopped, Stop::Tolerance);
             assert!(fit.residual.largest_um <= tolerance_um);
+            assert!(fit.residual.largest_um < 0.1 * range_um, "90 % of the error is foreseen");
             assert_eq!(fit.spline.check(), Ok(()));
             assert!(own <= paper, "the paper's way takes {paper}");
             // Its points with control values by least squares: where they are within as well.

@@ -37,7 +37,9 @@ fn a_spindle_warmer_than_its_reference_is_lifted() {
 fn a_spindle_that_has_run_warm_is_lifted() {
     let sections = "[spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 1\nwarm_s = 5\n\
                     max_um = 80\nexponent = 4\n";
-    let (machine, compiled) = compiled(&machine_of("\"3-axis\"", sections));
+    // No [inputs]: neither a sensor nor a thermometer is needed.
+    let alone = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[limits]\nmax_um = { z = 4000 }\n";
+    let (machine, compiled) = compiled(&format!("{alone}{sections}"));
     let mut rig = Rig::new(&compiled);
     let mut reference = ReferenceModel::new(&machine);
     let row = |time_s| Situation { time_s: Some(time_s), ..at([0.0; 3]) };
@@ -99,6 +101,33 @@ fn backlash_is_an_error_of_the_negative_approach_alone() {
             let situation = Situation { direction: [direction, 1.0, 1.0], ..at([mm, 0.0, 0.0]) };
             assert_signs(&machine, &mut rig, 10, &situation, [error, 0.0, 0.0]);
         }
+    }
+}
+
+#[test]
+fn on_a_reversal_the_axis_moves_by_the_backlash_further_and_the_table_arrives() {
+    // A nut with 50 µm of play: the motor takes up the play before the table follows.
+    const PLAY_UM: f64 = 50.0;
+    let sections = format!("[axis.x.backlash]\nwidth_um = {PLAY_UM:?}\n");
+    let (_, compiled) = compiled(&machine_of("\"3-axis\"", &sections));
+    let mut rig = Rig::new(&compiled);
+    let (mut motor_um, mut table_um, mut uncorrected_um) = (0.0_f64, 0.0_f64, 0.0_f64);
+    let mut before = (0.0, 1.0);
+    for (mm, direction) in [(10.0, 1.0), (4.0, -1.0), (1.0, -1.0), (3.0, 1.0), (-2.0, -1.0)] {
+        rig.position_mm[0] = mm;
+        rig.heading[0] = if direction < 0.0 { Heading::Negative } else { Heading::Positive };
+        let command_um = 1_000.0 * mm;
+        let sent_um = command_um + f64::from(rig.offset_nm(10)[0]) / 1_000.0;
+        let further_um = if direction == before.1 { 0.0 } else { PLAY_UM };
+        let moved_um = (sent_um - motor_um).abs() - (command_um - before.0).abs();
+        assert!((moved_um - further_um).abs() < 1e-3, "{mm} mm: {moved_um} µm further");
+        let follow = |table_um: f64, motor_um: f64| table_um.clamp(motor_um, motor_um + PLAY_UM);
+        (motor_um, before) = (sent_um, (command_um, direction));
+        table_um = follow(table_um, sent_um);
+        uncorrected_um = follow(uncorrected_um, command_um);
+        let behind_um = if direction < 0.0 { PLAY_UM } else { 0.0 };
+        assert_eq!(uncorrected_um - command_um, behind_um, "without the correction");
+        assert!((table_um - command_um).abs() < 1e-3, "{mm} mm: the table is at {table_um} µm");
     }
 }
 

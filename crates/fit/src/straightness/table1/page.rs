@@ -50,6 +50,7 @@ fn figures(entry: &Entry) -> Table {
         "mean, µm",
         "mean square, µm²",
         "within any metre, µm",
+        "from one position to the next, µm",
         "jump of speed, mm/s",
         "acceleration, mm/s²",
     ]);
@@ -62,6 +63,7 @@ fn figures(entry: &Entry) -> Table {
             format!("{:.2}", left.residual.mean_um),
             format!("{:.2}", left.residual.mean_square_um2),
             format!("{:.2}", left.over_a_metre_um),
+            format!("{:.2}", left.step_um),
             jump,
             acceleration,
         ]
