@@ -26,17 +26,24 @@ use crate::{Outcome, files, output, report, runs, summary};
   trueup check *.csv --machine machine.toml --json")]
 pub struct Check {
     /// Machine files (.toml) and run files.
-    #[arg(value_name = "FILE", required = true)]
+    #[arg(value_name = "FILE", required_unless_present = "machine")]
     files: Vec<PathBuf>,
-    /// The machine file that the runs are held against; by default the only one among FILE.
+    /// The machine file that the runs are compared with; by default the only one among FILE. Without FILE it
+    /// is checked itself.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
 }
 
 /// Checks each file.
 pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
-    let is_machine = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "toml");
-    let (machines, run_files): (Vec<_>, Vec<_>) = args.files.iter().partition(is_machine);
+    let is_named = |path: &PathBuf| args.files.is_empty() && args.machine.as_ref() == Some(path);
+    let is_machine =
+        |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "toml") || is_named(path);
+    let files = match &args.machine {
+        Some(machine) if args.files.is_empty() => std::slice::from_ref(machine),
+        _ => &args.files[..],
+    };
+    let (machines, run_files): (Vec<_>, Vec<_>) = files.iter().partition(is_machine);
     let only = match &machines[..] {
         [path] => Some(*path),
         _ => None,
@@ -48,7 +55,7 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
     let mut told = Vec::new();
     let mut refused = Vec::new();
     let mut doubts = 0;
-    for path in &args.files {
+    for path in files {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
             refused.extend(check::refusal(&check::ranges(&machine), files::accepted()));

@@ -80,6 +80,7 @@ fn finite(text: &str) -> Result<f64, String> {
 /// A constant as it is now.
 struct Now<'a> {
     key: &'a str,
+    unit: String,
     file: f64,
     learned: f64,
     half_width: f64,
@@ -241,8 +242,10 @@ fn now(learned: &Learned) -> Vec<Now<'_>> {
         .constants
         .iter()
         .zip(values)
-        .filter_map(|(Constant { key, believed, .. }, (value, half_width))| {
-            Some(Now { key, file: *believed, learned: value?, half_width: *half_width })
+        .filter_map(|(constant, (value, half_width))| {
+            let Constant { key, believed, .. } = constant;
+            let (unit, half_width) = (constant.unit(), *half_width);
+            Some(Now { key, unit, file: *believed, learned: value?, half_width })
         })
         .collect()
 }
@@ -292,13 +295,22 @@ fn print(path: &Path, learned: &Learned) -> Result<()> {
             output::print(format_args!("  row {}: {:.1} µm, {reason}", it.row, it.measured_um))?;
         }
     }
-    for Now { key, file, learned, half_width } in now(learned) {
+    for Now { key, unit, file, learned, half_width } in now(learned) {
+        let places = decimal_places(half_width);
         output::print(format_args!(
-            "  {key}: {file} in your file, {learned:.4} learned, ± {half_width:.2}"
+            "  {key}: {file} {unit} in your file, {learned:.places$} {unit} learned, ± {half_width:.places$} {unit}"
         ))?;
     }
     for event in &learned.news {
         output::print(format_args!("  event: {}", event.sentence()))?;
     }
     learned.notes.iter().try_for_each(|note| output::print(format_args!("  {note}")))
+}
+
+/// Returns the decimal places that show two digits of a half width; one place at least, nine at most.
+fn decimal_places(half_width: f64) -> usize {
+    if half_width <= 0.0 || !half_width.is_finite() {
+        return 4;
+    }
+    (1.0 - half_width.log10().floor()).clamp(1.0, 9.0) as usize
 }

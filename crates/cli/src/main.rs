@@ -92,7 +92,10 @@ struct Cli {
 impl Cli {
     /// A command line as users write it, with its short forms.
     fn read(words: impl IntoIterator<Item: Into<OsString> + Clone>) -> Result<Self, clap::Error> {
-        Self::from_arg_matches(&help::with_examples(Self::command()).try_get_matches_from(words)?)
+        let tool = help::with_examples(Self::command());
+        let words = words.into_iter().map(Into::into).collect();
+        let words = machine_arg::with_option(&tool, words);
+        Self::from_arg_matches(&tool.try_get_matches_from(words)?)
     }
 }
 

@@ -25,10 +25,22 @@ pub fn read(path: &Path) -> Result<RunFile, BadInput> {
             other
         }
         other => match bounded::read(path, MAX_TRIED_BYTES) {
+            Ok(bytes) if is_machine_file(&bytes) => Err(not_a_run(path)),
             Ok(bytes) if is_foreign(&bytes, path) => Err(to_import(path)),
             _ => other,
         },
     }
+}
+
+/// Returns true if the text has the section that every machine file has.
+fn is_machine_file(bytes: &[u8]) -> bool {
+    bytes.split(|byte| *byte == b'\n').any(|line| line.trim_ascii().starts_with(b"[machine]"))
+}
+
+/// Returns the error for a machine file in the place of a run file.
+fn not_a_run(path: &Path) -> BadInput {
+    BadInput::new(Location::start_of(path), "is a machine file, and a run file is needed here")
+        .with_help("--machine takes the machine file; a run file is a CSV file with a header of column names")
 }
 
 /// The error for a table that `import` reads.

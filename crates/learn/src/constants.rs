@@ -39,6 +39,12 @@ impl Constant {
         self.key.ends_with(".reference_c")
     }
 
+    /// Returns the unit of its value, by its key.
+    #[must_use]
+    pub fn unit(&self) -> String {
+        unit(&self.key)
+    }
+
     /// Returns true if both are the same constant, whatever its number or value is.
     pub(crate) fn is(&self, other: &Self) -> bool {
         if self.term.is_empty() || other.term.is_empty() {
@@ -46,6 +52,27 @@ impl Constant {
         }
         let name = |it: &Self| it.key.rsplit('.').next().map(str::to_string);
         self.term == other.term && name(self) == name(other)
+    }
+}
+
+/// Returns the unit of a constant, by its key.
+pub(crate) fn unit(key: &str) -> String {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    if name.starts_with("width_") {
+        return "µm".into();
+    }
+    if name.ends_with("reference_c") {
+        return "°C".into();
+    }
+    let per = name.split_once("um_per_").map_or("", |(_, per)| per);
+    match per {
+        "" => "µm".into(),
+        "c" => "µm/K".into(),
+        "m_per_c" => "µm/(m·K)".into(),
+        "m" => "µm/m".into(),
+        "krpm" => "µm/(1000 r/min)".into(),
+        "krpm2" => "µm/(1000 r/min)²".into(),
+        other => format!("µm/{}", other.replace("_per_", "/")),
     }
 }
 

@@ -6,6 +6,7 @@
 //! estimate is done anew from its first reading on whenever that changes.
 
 use crate::{
+    constants::unit,
     detect::{Alternative, DOUBTFUL, Finding, Fitted, smallest_step_um},
     event::{Action, Event, EventKind, digits},
     memory::Memory,
@@ -206,23 +207,5 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
             Action::Shift(zero.chain(stands_in).chain(references).collect())
         }
         Alternative::Scatter => Action::Scatter(acting.size),
-    }
-}
-
-/// Returns the unit of a constant, by its key.
-pub(crate) fn unit(key: &str) -> String {
-    let name = key.rsplit('.').next().unwrap_or(key);
-    if name.starts_with("width_") {
-        return "µm".into();
-    }
-    let per = name.split_once("um_per_").map_or("", |(_, per)| per);
-    match per {
-        "" => "µm".into(),
-        "c" => "µm/K".into(),
-        "m_per_c" => "µm/(m·K)".into(),
-        "m" => "µm/m".into(),
-        "krpm" => "µm/(1000 r/min)".into(),
-        "krpm2" => "µm/(1000 r/min)²".into(),
-        other => format!("µm/{}", other.replace("_per_", "/")),
     }
 }

@@ -48,7 +48,7 @@ impl Kind {
 /// What was measured, and what is believed.
 #[derive(Args)]
 pub struct Measured {
-    /// A run file; warmup, thermal, elongation and table1 take several, pitch one for each drive of a gantry axis.
+    /// A run file.
     #[arg(long, value_name = "RUN.csv", required = true)]
     pub run: Vec<PathBuf>,
     /// The machine file: by it what a bridge in the runs had applied is taken off, and into it a section is
@@ -136,12 +136,13 @@ pub struct Straightness {
     pub method: Method,
 }
 
-/// The table of seed 003 on your own runs: what a B-spline, a polynomial of degree 7 and straight lines leave of each
+/// The table of the paper on straightness for your own runs: what a B-spline, a polynomial of degree 7 and straight lines leave of each
 /// curve and of each diagonal (range, mean, mean square, within any metre), how much the correction's speed jumps at
 /// the corners of lines, and what that asks of the axis.
 ///
 /// A run in which one axis moves is a curve; one in which two move is a diagonal, and needs the curves of both.
 #[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file, one for each curve and each diagonal")))]
 pub struct Table1 {
     #[command(flatten)]
     pub measured: Measured,
@@ -187,6 +188,7 @@ pub enum Method {
 }
 
 #[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file; of a gantry axis one for each drive")))]
 pub struct Pitch {
     #[command(flatten)]
     pub common: Common,
@@ -223,6 +225,7 @@ pub struct Backlash {
 }
 
 #[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
 pub struct Elongation {
     #[command(flatten)]
     pub common: Common,
@@ -243,12 +246,14 @@ pub enum By {
 }
 
 #[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file, one for each speed")))]
 pub struct Warmup {
     #[command(flatten)]
     pub common: Common,
 }
 
 #[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file; may be given several times")))]
 pub struct Thermal {
     #[command(flatten)]
     pub common: Common,

@@ -322,3 +322,52 @@ fn a_link_is_followed_and_stays_a_link() {
     assert!(fs::symlink_metadata(desk.path("cal.bin")).expect("there").is_symlink());
     assert_eq!(desk.read("real.bin").len(), PAPER_BYTES);
 }
+
+#[test]
+fn a_machine_file_and_a_run_file_that_are_exchanged_are_named_in_one_line() {
+    let desk = desk();
+    for line in [
+        "diagnose --machine m.toml --run m.toml --out d",
+        "predict --machine m.toml --run m.toml -o out.csv",
+        "fit elongation --run m.toml -o out.toml",
+        "learn --machine m.toml --run m.toml -o out.toml",
+        "trust --machine m.toml --calibrated m.toml --run run.csv",
+        "accept --off m.toml --on run.csv --out d",
+    ] {
+        assert!(desk.refused(line).contains("m.toml:1:1: is a machine file"), "{line}");
+    }
+    for line in [
+        "compile run.csv -o m.bin",
+        "predict --machine run.csv --run run.csv -o out.csv",
+        "diagnose --machine run.csv --run run.csv --out d",
+    ] {
+        assert!(desk.refused(line).contains("run.csv:1:1: is a table of values"), "{line}");
+    }
+}
+
+#[test]
+fn the_machine_file_needs_no_option() {
+    let desk = desk();
+    let line = "predict --run run.csv -o out.csv";
+    let with_option = desk.printed(&format!("{line} --machine m.toml"), 0);
+    for free in [format!("{line} m.toml"), "predict m.toml --run run.csv -o out.csv".into()] {
+        assert_eq!(desk.printed(&free, 0), with_option, "{free}");
+    }
+    let checked = desk.printed("check m.toml", 0);
+    assert_eq!(desk.printed("check --machine m.toml", 0), checked);
+}
+
+#[test]
+fn the_help_of_a_fit_speaks_of_no_other() {
+    let desk = desk();
+    let kinds = ["straightness", "pitch", "backlash", "elongation", "warmup", "thermal", "table1"];
+    for kind in kinds {
+        let help = desk.printed(&format!("fit {kind} --help"), 0);
+        for other in
+            ["elongation", "warmup", "thermal", "table1"].into_iter().filter(|it| *it != kind)
+        {
+            let is_word = |word: &str| word.trim_matches(|it: char| !it.is_alphanumeric()) == other;
+            assert!(!help.split_whitespace().any(is_word), "{kind} speaks of {other}: {help}");
+        }
+    }
+}

@@ -26,7 +26,12 @@ fn days_are_learned_from_and_the_last_change_is_taken_back() {
     let desk = Desk::new(&[("m.toml", MACHINE), ("1.csv", &day(1)), ("2.csv", &day(2))]);
     let (out, _) = desk.said("learn --machine m.toml --run 1.csv -o learned.toml", 0);
     assert!(out.contains("30 of 30 readings used"), "{out}");
-    assert!(out.contains("spindle.temperature.k_um_per_c: 2 in your file"), "{out}");
+    let (_, constant) =
+        out.split_once("spindle.temperature.k_um_per_c: ").expect("what is learned");
+    assert!(constant.starts_with("2 µm/K in your file, 2."), "{out}");
+    let (_, half_width) = constant.split_once(" µm/K learned, ± ").expect("its interval");
+    let half_width = half_width.split(" µm/K").next().and_then(|text| text.parse::<f64>().ok());
+    assert!(half_width.is_some_and(|it| it > 0.0), "{out}");
     let first = desk.text("learned.toml");
     assert!(first.contains("# the maker's") && first != MACHINE, "{first}");
     let (out, _) = desk.said("--json learn --machine m.toml --run 2.csv -o learned.toml", 0);
@@ -253,4 +258,13 @@ fn equal_runs_compared_by_a_limit_below_their_scatter_end_with_0() {
     let (out, _) = desk.said("compare a.csv b.csv --limit-um 0.01", 0);
     assert!(out.contains("no difference"), "{out}");
     desk.said("compare a.csv c.csv --limit-um 5", 3);
+}
+
+#[test]
+fn a_short_record_without_a_clock_is_refused_by_its_measured_column() {
+    let rows: String = (0..15).map(|n| format!("{n}.5,{n}\n")).collect();
+    let short = format!("temp_a_c,measured_elongation_um\n{rows}");
+    let desk = Desk::new(&[("m.toml", MACHINE), ("short.csv", &short)]);
+    let (_, err) = desk.said("trust m.toml --calibrated short.csv --run short.csv", 2);
+    assert!(err.contains("measured_elongation_um has 15 rows") && !err.contains("time_s"), "{err}");
 }

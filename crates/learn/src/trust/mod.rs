@@ -231,7 +231,7 @@ pub fn trust(
 ) -> Result<Trust, BadInput> {
     let then = apart(machine, calibrated, wanted)?;
     let now = apart(machine, run, wanted)?;
-    let bad = |rule: String| calibrated.bad(0, "time_s", rule);
+    let bad = |rule: String| calibrated.bad(0, &then.column, rule);
     let row_s = row_s(calibrated, &then.apart_um);
     let noise = Noise::by_gaps(&gaps(calibrated, &then.apart_um, row_s), row_s).map_err(bad)?;
     let mut watch = Watch::new(noise, false_alarm_h);
@@ -262,6 +262,8 @@ pub fn trust(
 /// Measured less predicted by row.
 struct Apart {
     compared: Compared,
+    /// The column of what is compared with the model.
+    column: String,
     apart_um: Vec<f64>,
     predicted_um: Vec<f64>,
 }
@@ -289,18 +291,20 @@ fn apart(machine: &Machine, run: &RunFile, wanted: Option<Quantity>) -> Result<A
         other => other,
     };
     let can_compare = spindle.sensor.is_some() && !is_measured;
-    let (compared, measured_um, predicted_um) = if let Some(model) = model.filter(|_| can_compare) {
-        let quantity = Quantity::Elongation;
-        let sensor_um = by(Some(ElongationSource::Sensor), quantity)?;
-        (Compared::Sensor(model), sensor_um, by(Some(model), quantity)?)
-    } else {
-        let quantity = measured(run, wanted)?;
-        let name = format!("measured_{}_um", quantity.name());
-        let compared = quantity.axis().map_or(Compared::Growth(spindle.source), Compared::Axis);
-        (compared, run.require(&name)?.to_vec(), by(spindle.source, quantity)?)
-    };
+    let (compared, column, measured_um, predicted_um) =
+        if let Some(model) = model.filter(|_| can_compare) {
+            let quantity = Quantity::Elongation;
+            let sensor_um = by(Some(ElongationSource::Sensor), quantity)?;
+            (Compared::Sensor(model), "sensor_counts".into(), sensor_um, by(Some(model), quantity)?)
+        } else {
+            let quantity = measured(run, wanted)?;
+            let name = format!("measured_{}_um", quantity.name());
+            let compared = quantity.axis().map_or(Compared::Growth(spindle.source), Compared::Axis);
+            let measured_um = run.require(&name)?.to_vec();
+            (compared, name, measured_um, by(spindle.source, quantity)?)
+        };
     let apart_um = measured_um.iter().zip(&predicted_um).map(|(it, said)| it - said).collect();
-    Ok(Apart { compared, apart_um, predicted_um })
+    Ok(Apart { compared, column, apart_um, predicted_um })
 }
 
 /// Returns the most common step of the clock between readings, in s; a minute where there is none.

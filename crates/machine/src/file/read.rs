@@ -25,10 +25,24 @@ pub(crate) struct Document<'t> {
     places: Locations,
 }
 
+/// The rule that a run file in the place of a machine file breaks.
+const NOT_A_MACHINE_FILE: &str = "is a table of values, and a machine file is needed here";
+
+/// Returns true if the first line that says something is a header of columns: no key, no section.
+fn is_table(text: &str) -> bool {
+    let mut lines = text.lines().map(str::trim);
+    let first = lines.find(|line| !line.is_empty() && !line.starts_with('#'));
+    first.is_some_and(|line| line.contains([',', ';', '\t']) && !line.contains(['=', '[']))
+}
+
 impl<'t> Document<'t> {
     /// `text` is the whole content of `file`, without a byte order mark.
     pub(crate) fn parse(text: &'t str, file: &'t Path) -> Result<Self, BadInput> {
         let table = DeTable::parse(text).map_err(|error| {
+            if is_table(text) {
+                return BadInput::new(Location::start_of(file), NOT_A_MACHINE_FILE)
+                    .with_help("--machine takes the machine file, --run the run file");
+            }
             let offset = error.span().map_or(0, |span| span.start);
             let rule = format!("not valid TOML: {}", error.message());
             BadInput::new(Location::at_byte(file, text, offset), rule)
