@@ -145,7 +145,7 @@ fn codes(sensor_um: f64, ms: u32) -> [Code; 20] {
 
 #[test]
 #[ignore = "long: two hours of the emulated board"]
-fn the_two_hours_of_seed_000_at_24000_rpm() {
+fn the_two_hours_of_paper_0_at_24000_rpm() {
     let paper = MachineFile::read(&setup::root().join("data/paper_spindle.toml")).expect("ours");
     let mut calibrated = paper.clone();
     let sensor = calibrated.spindle.sensor.as_mut().expect("it has one");

@@ -112,7 +112,7 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
-    /// Counts circles of files, long files, and places that name one cause; fails above the limits.
+    /// Counts circles of files, long files and functions, dependencies on higher layers, and the words of documents; fails above the limits.
     Structure,
     /// Makes the Debian package of the host tool, in target/debian.
     Deb {

@@ -1,4 +1,4 @@
-//! The paper's own limits (seed 000) as an acceptance: growth of 0.05 mm is allowed, 0.015 mm is left.
+//! The paper's own limits (paper 0) as an acceptance: growth of 0.05 mm is allowed, 0.015 mm is left.
 
 use std::path::Path;
 

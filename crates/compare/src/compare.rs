@@ -1,4 +1,4 @@
-//! Two runs place by place: unloaded against cut (seed 003), this year against last.
+//! Two runs place by place: unloaded against cut (paper 3), this year against last.
 //!
 //! ```text
 //! d(place) = mean B − mean A,   its 95 %: t·s·√(1/n_A + 1/n_B),   s from the repeats at all places

@@ -1,4 +1,4 @@
-//! A constant over the days it was measured: wear of a backlash, drift of a pitch (seed 004).
+//! A constant over the days it was measured: wear of a backlash, drift of a pitch (paper 4).
 //!
 //! ```text
 //! value = a + b·t,   b with its 95 % interval by Student's t from what the line leaves

@@ -6,7 +6,7 @@
 //!
 //! The slope is in temperature units per 1/256 count, 16 000/(counts per °C), with as many binary
 //! places (`shift`, at most 31) as 31 bits hold, because it reaches from 1.6 (10 000 counts/K) to
-//! 160 000 (0.1 counts/K). Seed 002's chain, 16 counts/K, has the slope 1000 exactly. Measured
+//! 160 000 (0.1 counts/K). Paper 2's chain, 16 counts/K, has the slope 1000 exactly. Measured
 //! worst error of a linear chain against `f64` over ±500 °C: 0.0003 mK, with 0.1…10 000 counts/K.
 
 use crate::{
@@ -169,7 +169,7 @@ mod tests {
     };
     extern crate std;
 
-    /// Seed 002: 4000 counts at 0 °C, 16 counts per kelvin.
+    /// Paper 2: 4000 counts at 0 °C, 16 counts per kelvin.
     const PAPER: Thermometer = Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 };
 
     /// As the host fills it in: the largest shift with which the slope fits.

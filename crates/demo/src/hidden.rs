@@ -21,7 +21,7 @@ use crate::{
     table::{parsed, with_columns, without_readings},
 };
 
-/// No fault is smaller, in RMS of the noise; the figure.
+/// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
 pub const LEAST_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to so many times the noise.
 const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];

@@ -1,4 +1,4 @@
-//! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard.rs` is the
+//! A hidden effect is found: a fixed, smaller part of the score card (`examples/scorecard` is the
 //! whole). The drawn truth is read only by the check.
 
 mod score;

@@ -59,7 +59,7 @@ pub enum Series {
     /// 0i, 16i, 18i, 30i and their kin: parameters from 3620.
     #[default]
     I,
-    /// The old Series 0 (seed 004): parameters 1000, 2000, 0011, 756, 757, keyed in by hand.
+    /// The old Series 0 (paper 4): parameters 1000, 2000, 0011, 756, 757, keyed in by hand.
     Zero,
 }
 

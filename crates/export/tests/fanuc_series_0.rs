@@ -1,4 +1,4 @@
-//! The old FANUC Series 0 by the numbers of seed 004, checked by hand; and straightness that four points
+//! The old FANUC Series 0 by the numbers of paper 4, checked by hand; and straightness that four points
 //! cannot hold.
 
 use std::path::Path;

@@ -42,7 +42,7 @@ const CRC: &str = "calibration_crc";
 /// What else a bridge says of its state.
 const STATE: [&str; 2] = ["flags", "age_ms"];
 /// From this quality on (hold, ramping out, fault) the offset is not the error's opposite, or not
-/// known to be followed (`interfaces.md` section 5).
+/// known to be followed (`docs/book/src/offsets.md`).
 const FIRST_UNUSABLE: f64 = 4.0;
 /// The last quality that there is.
 const LAST_QUALITY: f64 = 6.0;

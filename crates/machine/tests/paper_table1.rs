@@ -86,7 +86,7 @@ fn the_counts_of_the_data_file_give_the_same_figures_within_0_01_um() {
     assert_near(figures.left_out.max_abs, 1.87, 0.01);
 }
 
-/// Two hours at 24 000 r/min (seed 000): 10, 12, 13, 14 µm are left each half hour, and 80 µm stand there
+/// Two hours at 24 000 r/min (paper 0): 10, 12, 13, 14 µm are left each half hour, and 80 µm stand there
 /// without compensation. The constants are those of Table 1, not of these figures. What the spindle had
 /// grown by before the end is not printed: the table's line says what it must have been.
 #[test]

@@ -25,7 +25,7 @@ fn x_with_room() -> Options {
 #[test]
 fn fanuc_backlash_is_the_papers_own_program() {
     let text = control::program(&of(Kind::Backlash, &x_with_room())[0], Control::Fanuc).1;
-    // Seed 004, N10 to N90, for X: 50 mm of over-travel, 5 s to read, Z out of the way and back, at the feed of an
+    // Paper 4, N10 to N90, for X: 50 mm of over-travel, 5 s to read, Z out of the way and back, at the feed of an
     // approach.
     let paper = "\
 O7101(BACKLASH-X)

@@ -291,33 +291,25 @@ fn no_other_straight_law_explains_the_effect_as_well() {
     }
 }
 
-/// `cargo test -p trueup-twin --test hidden -- --ignored --show-output`
 #[test]
-#[ignore = "campaign: prints what is drawn, for whoever wants to see"]
-fn campaign_challenges_at_a_glance() {
+fn every_drawn_challenge_can_be_solved() {
     for &cause in Hidden::ALL {
-        for seed in 0..3 {
-            let challenge = draw(cause, 3.0, seed);
-            let truth = &challenge.truth;
-            let believed = about_mean(&truth.believed_um);
-            let size = truth.effects.first().map_or(0.0, |effect| effect.rms_um);
-            print!(
-                "{:28} {:10} runs {} rows {:4} believed {:6.1} effect {size:5.2} noise {:5.3} \
-                 rho {:.2} digit {} gain {:.2}",
-                cause.name(),
-                challenge.quantity,
-                challenge.runs.len(),
-                believed.len(),
-                rms(&believed),
-                truth.noise_rms_um,
-                truth.noise_rho,
-                truth.quantum_um,
-                truth.possible_reduction(),
-            );
-            for (name, value) in truth.effects.iter().flat_map(|effect| &effect.parameters) {
-                print!(" {name} {value:.4}");
-            }
-            println!();
+        let challenge = draw(cause, 3.0, 0);
+        let truth = &challenge.truth;
+        let name = cause.name();
+        assert!(!challenge.runs.is_empty() && !truth.believed_um.is_empty(), "{name}");
+        assert_eq!(truth.believed_um.len(), truth.effect_um.len(), "{name}");
+        let all = truth.believed_um.iter().chain(&truth.effect_um);
+        assert!(all.copied().all(f64::is_finite), "{name}");
+        // The noise is there, and its memory ends.
+        assert!(truth.noise_rms_um > 0.0 && (0.0..1.0).contains(&truth.noise_rho), "{name}");
+        let reduction = truth.possible_reduction();
+        let least = if truth.effects.is_empty() { 0.0 } else { 0.3 };
+        assert!((least..1.0).contains(&reduction), "{name}: {reduction}");
+        for effect in &truth.effects {
+            assert!(effect.rms_um > truth.noise_rms_um, "{name}: {} µm", effect.rms_um);
+            let values = effect.parameters.iter().map(|(_, value)| *value);
+            assert!(values.clone().all(f64::is_finite), "{name}");
         }
     }
 }

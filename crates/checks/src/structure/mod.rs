@@ -1,5 +1,5 @@
-//! The structure of the source, counted: circles of files, files that are too long, and places that
-//! name one cause of error outside its page.
+//! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a higher
+//! layer, places that name one cause of error outside its page; and the language of documents.
 //!
 //! A file that needs a file that needs the first cannot be read, tried or changed alone; a file of a
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
@@ -7,6 +7,9 @@
 
 mod causes;
 mod circles;
+mod functions;
+mod language;
+mod layers;
 mod modules;
 mod source;
 
@@ -28,13 +31,33 @@ struct Limits {
     circles: usize,
     /// Files above [`LONGEST`] lines.
     long_files: usize,
+    /// Functions above [`functions::LONGEST`] lines.
+    long_functions: usize,
+    /// Dependencies on a higher layer.
+    arrows: usize,
+    /// References that lead nowhere.
+    nowhere: usize,
+    /// Tables that an empty line cuts.
+    cut_tables: usize,
     /// Files that `rustfmt` does not see.
     unseen: usize,
     /// Places that name the one cause that is named in most.
     places: usize,
 }
 
-const LIMITS: Limits = Limits { circles: 0, long_files: 0, unseen: 0, places: 2 };
+const LIMITS: Limits = Limits {
+    circles: 0,
+    long_files: 0,
+    long_functions: 26,
+    arrows: 2,
+    nowhere: 0,
+    cut_tables: 0,
+    unseen: 0,
+    places: 2,
+};
+
+/// How many files with the most counted words are named.
+const NAMED_FILES: usize = 8;
 
 /// Counts, and gives what was found as text, one count a heading and what it counts below.
 ///
@@ -69,6 +92,17 @@ pub fn check(root: &Path) -> Result<String> {
     for source in &long {
         writeln!(text, "    {:5}  {}", source.lines(), source.path)?;
     }
+    let long = functions::long(&sources);
+    let what = format!("functions above {} lines", functions::LONGEST);
+    head(&mut text, &what, long.len(), LIMITS.long_functions)?;
+    for it in &long {
+        writeln!(text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
+    }
+    let arrows = layers::arrows_up(root)?;
+    head(&mut text, "arrows up", arrows.len(), LIMITS.arrows)?;
+    for arrow in &arrows {
+        writeln!(text, "    {arrow}")?;
+    }
     let unseen = modules::unseen(&sources);
     head(&mut text, "files that the format check does not see", unseen.len(), LIMITS.unseen)?;
     for path in &unseen {
@@ -78,6 +112,30 @@ pub fn check(root: &Path) -> Result<String> {
     head(&mut text, &what, places.len(), LIMITS.places)?;
     for place in &places {
         writeln!(text, "    {place}")?;
+    }
+    let language = language::count(root, &sources)?;
+    for (what, found, limit) in [
+        ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
+        ("tables without a head", &language.cut_tables, LIMITS.cut_tables),
+    ] {
+        head(&mut text, what, found.len(), limit)?;
+        for place in found {
+            writeln!(text, "    {place}")?;
+        }
+    }
+    writeln!(text, "words per 10,000 of {} (target: 2 at most each)", language.words)?;
+    for (what, count) in &language.counts {
+        writeln!(text, "    {:5.1}  {what}", language.frequency(*count))?;
+    }
+    let [all, with_verb] = language.functions;
+    let share = 100.0 * with_verb as f64 / all.max(1) as f64;
+    writeln!(
+        text,
+        "doc comments of functions that begin with a verb: {share:.0} % of {all} (target: 60 %)"
+    )?;
+    writeln!(text, "most of these words:")?;
+    for (file, count) in language.files.iter().take(NAMED_FILES) {
+        writeln!(text, "    {count:5}  {file}")?;
     }
     ensure!(over.is_empty(), "{text}above the limit: {}", over.join(", "));
     Ok(text)

@@ -23,6 +23,11 @@ impl SourceFile {
         Self { path: path.into(), text: text.to_owned(), words, code }
     }
 
+    /// Returns the code with what is compiled for tests, as long as [`Self::text`].
+    pub fn code_with_tests(&self) -> String {
+        String::from_utf8_lossy(&without_comments(&self.text).1).into_owned()
+    }
+
     /// How many lines it has.
     pub fn lines(&self) -> usize {
         self.text.lines().count()

@@ -2,7 +2,7 @@
 //! run warm, or both.
 //!
 //! What nobody moves stays as it was in the runs. Moving warms the axis's own thermometer: by how much at the feed at
-//! which an axis is run warm the runs say if it has changed in them, else seed 002's twenty minutes and 5 K are taken; at
+//! which an axis is run warm the runs say if it has changed in them, else paper 2's twenty minutes and 5 K are taken; at
 //! a slower pace by as much less. It is a guess of an input and nothing else hangs on it: the run that is made has
 //! inputs of its own.
 
@@ -31,7 +31,7 @@ const FEED_MM_PER_MIN: f64 = 1000.0;
 /// So much of the way lies beyond the targets, and at most so many mm: there play is taken up.
 const OVER_SHARE: f64 = 0.05;
 const MOST_OVER_MM: f64 = 50.0;
-/// What an axis warms by, in K, and its time constant, in s, where the runs do not show it: a screw (seed 002).
+/// What an axis warms by, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
 const WARMS_C: f64 = 5.0;
 const WARMS_IN_S: f64 = 1200.0;
 /// A thermometer that has changed by less does not show it, in K.

@@ -1,4 +1,4 @@
-//! The old FANUC Series 0, by the numbers of seed 004: a sheet that is keyed in by hand.
+//! The old FANUC Series 0, by the numbers of paper 4: a sheet that is keyed in by hand.
 //!
 //! | parameter | is |
 //! |---|---|

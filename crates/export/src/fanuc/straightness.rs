@@ -53,7 +53,7 @@ pub(super) fn chosen<'m>(
 }
 
 /// A curve of which more than this stays is not written: nine tenths gone is what a compensation is for
-/// (seed 003; `trueup accept`).
+/// (paper 3; `trueup accept`).
 const MOST_LOSS: f64 = 0.1;
 /// So many places of a curve are looked at before it is taken.
 const PLACES: u32 = 1000;

@@ -1,4 +1,4 @@
-//! Backlash by the feed of the approach: "at different speeds of the table the results differ" (seed 004).
+//! Backlash by the feed of the approach: "at different speeds of the table the results differ" (paper 4).
 //!
 //! Each position has its differences at each feed. Whether the feeds differ is asked by analysis of
 //! variance, the positions as blocks: the scatter of the feeds' means, each position's own mean taken

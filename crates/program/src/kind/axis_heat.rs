@@ -1,4 +1,4 @@
-//! The growth of an axis that is run warm (seed 002): measured cold, then run to and fro for twenty
+//! The growth of an axis that is run warm (paper 2): measured cold, then run to and fro for twenty
 //! minutes and measured every 100 mm, round by round.
 
 use trueup_machine::Machine;
@@ -11,11 +11,11 @@ use crate::{
     travel::{Travel, even, micrometres, travels},
 };
 
-/// Where, in mm (seed 002).
+/// Where, in mm (paper 2).
 const RANGE_MM: [f64; 2] = [500.0, 1500.0];
-/// From target to target, in mm (seed 002).
+/// From target to target, in mm (paper 2).
 const STEP_MM: f64 = 100.0;
-/// From measurement to measurement, in s (seed 002).
+/// From measurement to measurement, in s (paper 2).
 const HEAT_S: f64 = 1200.0;
 /// Rounds of heat: two hours.
 const ROUNDS: u32 = 6;

@@ -1,4 +1,4 @@
-//! Backlash at the middle and near both ends, seven times each (seed 004, N10…N90).
+//! Backlash at the middle and near both ends, seven times each (paper 4, N10…N90).
 //!
 //! At each place the axis goes beyond it and comes back, is read, goes beyond on the other side and
 //! comes back, is read again. The largest mean is the backlash.
@@ -22,7 +22,7 @@ use crate::{
     travel::{Travel, micrometres, retract, travel, travels},
 };
 
-/// How often at each place: "generally seven" (seed 004).
+/// How often at each place: "generally seven" (paper 4).
 const REPEATS: u32 = 7;
 /// How far an axis reverses into a dial that stays where it is, in mm: many times the play of a worn axis, and
 /// within the stroke of a plunger dial.

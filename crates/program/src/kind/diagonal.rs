@@ -1,4 +1,4 @@
-//! Two axes at once, and the error of the third across them (seed 003): what the whole model leaves,
+//! Two axes at once, and the error of the third across them (paper 3): what the whole model leaves,
 //! which no measurement of one axis shows.
 
 use trueup_machine::{

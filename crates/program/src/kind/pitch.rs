@@ -1,4 +1,4 @@
-//! Position errors there and back over uneven targets (ISO 230-2; seed 004).
+//! Position errors there and back over uneven targets (ISO 230-2; paper 4).
 //!
 //! Targets of equal distance may all stand on the same phase of the screw, and its periodic error is
 //! then invisible. So each is moved on by a share of the step, r·step with r from 0 to a quarter, in the

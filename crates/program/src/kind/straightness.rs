@@ -1,4 +1,4 @@
-//! How the other two axes err while one moves, there and back (seed 003).
+//! How the other two axes err while one moves, there and back (paper 3).
 
 use trueup_machine::{
     Machine,

@@ -1,4 +1,4 @@
-//! The growth of the spindle from cold, read once a minute (seed 001, S1, S5 and S6).
+//! The growth of the spindle from cold, read once a minute (paper 1, S1, S5 and S6).
 //!
 //! Nothing moves but the spindle: where the gauge stands is the operator's choice. The same program
 //! runs twice, from cold each time: without compensation, and with it.
@@ -18,7 +18,7 @@ use crate::{
     refused::Refused,
 };
 
-/// Two hours at full speed (seed 000).
+/// Two hours at full speed (paper 0).
 const HEAT_S: f64 = 7200.0;
 /// From reading to reading, in s.
 const EVERY_S: f64 = 60.0;

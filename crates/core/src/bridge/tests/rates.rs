@@ -6,7 +6,7 @@ use crate::{
     term::{Effect, Target, Term},
 };
 
-/// 16 counts a kelvin, as seed 002 has it.
+/// 16 counts a kelvin, as paper 2 has it.
 const FINE: Thermometer = Thermometer::Linear { zero: 0, slope: 1_000, shift: 0 };
 const PER_K: f64 = 16.0 * 256.0;
 

@@ -1,0 +1,326 @@
+//! The language of documents and doc comments, counted: words that a reader from outside stumbles over, and doc comments
+//! of functions that do not say what the function does.
+//!
+//! Read are the pages (`.md`) but for the list of changes, and the doc comments of all Rust files; not text in backticks
+//! and not blocks of code.
+
+use std::{fs, path::Path};
+
+use anyhow::{Context as _, Result};
+
+use super::source::SourceFile;
+
+/// Words whose frequency is printed: the heading, and the forms in lower case. A form that ends with a blank
+/// opens a sentence.
+const COUNTED: &[(&str, &[&str])] = &[
+    ("told, tell", &["told", "tell", "tells", "telling"]),
+    ("so much, so many", &["so much", "so many"]),
+    ("beside", &["beside"]),
+    ("nobody, somebody, whoever", &["nobody", "somebody", "whoever"]),
+    ("hear", &["hear", "hears", "heard", "hearing"]),
+];
+
+/// References that lead nowhere, and names of the workplace: none of them may be in the project.
+const NOWHERE: &[&str] =
+    &["the issue's", "interfaces.md", "language.md", "design.md", "seed 00", "shared/seeds"];
+
+/// Verbs that a doc comment of a function may begin with are these endings' third person; words with the ending that
+/// are none:
+const NO_VERBS: &[&str] = &[
+    "This",
+    "Its",
+    "As",
+    "Is",
+    "Has",
+    "Whether",
+    "Always",
+    "Others",
+    "Micrometres",
+    "Metres",
+    "Nanometres",
+    "Units",
+    "Rows",
+    "Values",
+    "Columns",
+    "Bytes",
+    "Lines",
+    "Words",
+    "Names",
+    "Keys",
+    "Files",
+    "Errors",
+    "Less",
+    "Means",
+    "Seconds",
+    "Milliseconds",
+    "Degrees",
+    "Counts",
+    "Readings",
+    "Terms",
+    "Parts",
+    "Ticks",
+    "Frames",
+    "Steps",
+    "Numbers",
+    "Two's",
+    "Causes",
+    "Runs",
+    "Perhaps",
+];
+
+/// What was counted.
+pub struct Language {
+    /// All words.
+    pub words: usize,
+    /// The headings of [`COUNTED`] and "What …", each with its number.
+    pub counts: Vec<(&'static str, usize)>,
+    /// Doc comments of functions, and those that begin with a verb.
+    pub functions: [usize; 2],
+    /// `file:line: phrase` of [`NOWHERE`].
+    pub nowhere: Vec<String>,
+    /// `file:line` of tables whose rows begin without a head.
+    pub cut_tables: Vec<String>,
+    /// The files with the most counted words, and their number.
+    pub files: Vec<(String, usize)>,
+}
+
+impl Language {
+    /// Returns a count per 10,000 words.
+    pub fn frequency(&self, count: usize) -> f64 {
+        1e4 * count as f64 / self.words.max(1) as f64
+    }
+}
+
+/// Reads pages and doc comments.
+///
+/// # Errors
+/// A page cannot be read.
+pub fn count(root: &Path, sources: &[SourceFile]) -> Result<Language> {
+    let mut found = Language {
+        words: 0,
+        counts: COUNTED.iter().map(|(head, _)| (*head, 0)).chain([("What …", 0)]).collect(),
+        functions: [0; 2],
+        nowhere: Vec::new(),
+        cut_tables: Vec::new(),
+        files: Vec::new(),
+    };
+    let mut pages = Vec::new();
+    collect_pages(root, &mut pages)?;
+    for path in pages {
+        let name = path.strip_prefix(root).unwrap_or(&path).to_string_lossy().replace('\\', "/");
+        let text = fs::read_to_string(&path).with_context(|| name.clone())?;
+        found.cut_tables.extend(cut_tables(&text).iter().map(|line| format!("{name}:{line}")));
+        found.nowhere.extend(nowhere(&name, &text));
+        found.add(&name, &prose(&text));
+    }
+    for source in sources {
+        // The lists above.
+        if source.path.ends_with("structure/language.rs") {
+            continue;
+        }
+        found.nowhere.extend(nowhere(&source.path, &source.text));
+        found.add(&source.path, &prose(&doc_comments(&source.text)));
+        if !source.is_test() {
+            for first in first_words_of_functions(&source.text) {
+                found.functions[0] += 1;
+                found.functions[1] += usize::from(is_verb(&first));
+            }
+        }
+    }
+    found.files.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    Ok(found)
+}
+
+impl Language {
+    fn add(&mut self, name: &str, text: &str) {
+        self.words += text.split_whitespace().count();
+        let lower = text.to_lowercase();
+        let mut all = 0;
+        for (index, (_, forms)) in COUNTED.iter().enumerate() {
+            let count: usize = forms.iter().map(|form| whole_words(&lower, form)).sum();
+            self.counts[index].1 += count;
+            all += count;
+        }
+        let what = sentences_with_what(text);
+        self.counts[COUNTED.len()].1 += what;
+        all += what;
+        if all > 0 {
+            self.files.push((name.to_owned(), all));
+        }
+    }
+}
+
+fn collect_pages(folder: &Path, pages: &mut Vec<std::path::PathBuf>) -> Result<()> {
+    for entry in fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let path = entry?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if name == "target" || name.starts_with('.') || name == "CHANGELOG.md" {
+            continue;
+        }
+        if path.is_dir() {
+            collect_pages(&path, pages)?;
+        } else if name.ends_with(".md") {
+            pages.push(path);
+        }
+    }
+    Ok(())
+}
+
+/// Returns the doc comments of a file, a paragraph for each item.
+fn doc_comments(text: &str) -> String {
+    let mut all = String::new();
+    for line in text.lines().map(str::trim_start) {
+        match line.strip_prefix("///").or_else(|| line.strip_prefix("//!")) {
+            Some(said) => all += said,
+            None if !all.ends_with("\n\n") => all += "\n",
+            None => {}
+        }
+        all += "\n";
+    }
+    all
+}
+
+/// Returns the text without blocks of code and without what is in backticks.
+fn prose(text: &str) -> String {
+    let mut is_code = false;
+    let mut all = String::with_capacity(text.len());
+    for line in text.lines() {
+        if line.trim_start().starts_with("```") {
+            is_code = !is_code;
+        } else if !is_code {
+            for (index, part) in line.split('`').enumerate() {
+                all += if index % 2 == 0 { part } else { "x" };
+            }
+        }
+        all.push('\n');
+    }
+    all
+}
+
+fn whole_words(text: &str, form: &str) -> usize {
+    let is_letter = |it: Option<char>| it.is_some_and(char::is_alphanumeric);
+    let matches = text.match_indices(form);
+    matches
+        .filter(|(at, _)| {
+            !is_letter(text[..*at].chars().next_back())
+                && !is_letter(text[at + form.len()..].chars().next())
+        })
+        .count()
+}
+
+/// Returns how many sentences begin with "What" and are no question.
+fn sentences_with_what(text: &str) -> usize {
+    let is_start = |before: &str| {
+        let on_line = before.rsplit('\n').next().unwrap_or_default();
+        let trimmed = before.trim_end();
+        let opens = [' ', '\t', '*', '-', '|', '#', '>'];
+        let ends = trimmed.ends_with(['.', '!', '?', ':', '|']) || trimmed.is_empty();
+        ends || on_line.trim_matches(opens).is_empty()
+            && before.trim_end_matches(' ').ends_with("\n\n")
+    };
+    let starts = text.match_indices("What ").filter(|(at, _)| is_start(&text[..*at]));
+    starts.filter(|(at, _)| !is_question(&text[*at..])).count()
+}
+
+fn is_question(text: &str) -> bool {
+    let end = text.find(['.', '?', '|']);
+    end.is_some_and(|at| text.as_bytes()[at] == b'?')
+}
+
+/// Returns the first word of the doc comment of each documented function.
+fn first_words_of_functions(text: &str) -> Vec<String> {
+    let mut first: Option<String> = None;
+    let mut found = Vec::new();
+    for line in text.lines().map(str::trim) {
+        if let Some(said) = line.strip_prefix("///") {
+            let word = said.split_whitespace().next().unwrap_or_default();
+            first.get_or_insert_with(|| word.to_owned());
+        } else if line.starts_with("#[") || line.starts_with("//") {
+            // Attributes stand between a comment and its item.
+        } else {
+            let before = line.split('(').next().unwrap_or_default();
+            if let Some(word) =
+                first.take().filter(|_| before.starts_with("fn ") || before.contains(" fn "))
+            {
+                found.push(word);
+            }
+        }
+    }
+    found
+}
+
+/// Returns true for a word that looks like a verb in the third person: Returns, Computes, Carries.
+fn is_verb(word: &str) -> bool {
+    word.starts_with(char::is_uppercase)
+        && word.ends_with('s')
+        && !word.ends_with("ss")
+        && !NO_VERBS.contains(&word)
+        && word.chars().skip(1).all(char::is_lowercase)
+}
+
+fn nowhere(name: &str, text: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for (index, line) in text.lines().enumerate() {
+        let lower = line.to_lowercase();
+        let phrases = NOWHERE.iter().filter(|phrase| lower.contains(**phrase));
+        found.extend(phrases.map(|phrase| format!("{name}:{}: {phrase}", index + 1)));
+    }
+    found
+}
+
+/// Returns the lines at which rows of a table begin without a head: an empty line has cut the table.
+fn cut_tables(text: &str) -> Vec<usize> {
+    let lines: Vec<&str> = text.lines().map(str::trim).collect();
+    let mut is_code = false;
+    let mut found = Vec::new();
+    for (index, line) in lines.iter().enumerate() {
+        is_code ^= line.starts_with("```");
+        let is_first = !index.checked_sub(1).is_some_and(|before| lines[before].starts_with('|'));
+        let next = lines.get(index + 1).copied().unwrap_or_default();
+        let has_head = next.starts_with('|') && next.chars().all(|it| "|-: ".contains(it));
+        if line.starts_with('|') && is_first && !has_head && !is_code {
+            found.push(index + 1);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_counted_where_they_are_whole_and_no_code() {
+        let text = prose("He was told. `told`\n```\ntold\n```\nRetold, Told; besides beside.\n");
+        assert_eq!(whole_words(&text.to_lowercase(), "told"), 2);
+        assert_eq!(whole_words(&text.to_lowercase(), "beside"), 1);
+    }
+
+    #[test]
+    fn a_question_is_no_noun_clause() {
+        let text =
+            "What a curve leaves.\n\nWhat is it?\nIt is. What else is there.\nSee What it is.";
+        assert_eq!(sentences_with_what(text), 2);
+    }
+
+    #[test]
+    fn a_function_doc_begins_with_a_verb_or_not() {
+        let text = "/// Returns it.\n#[must_use]\npub const fn a() {}\n/// The value.\nfn b();\n\
+                    /// A type.\nstruct C;\n/// This is it.\nasync fn d() {}";
+        let words = first_words_of_functions(text);
+        assert_eq!(words, ["Returns", "The", "This"]);
+        assert_eq!(words.iter().filter(|word| is_verb(word)).count(), 1);
+    }
+
+    #[test]
+    fn an_empty_line_cuts_a_table() {
+        let text = "| a | b |\n|---|---|\n| 1 | 2 |\n\n| 3 | 4 |\n\n```\n| no table\n```\n";
+        assert_eq!(cut_tables(text), [5]);
+    }
+
+    #[test]
+    fn references_that_lead_nowhere_are_found() {
+        let found = nowhere("a.md", "fine\nas The Issue's figure says\n");
+        assert_eq!(found, ["a.md:2: the issue's"]);
+    }
+}

@@ -1,0 +1,79 @@
+//! The layers of crates: a crate depends on its own layer and on those below.
+
+use std::{fs, path::Path};
+
+use anyhow::{Context as _, Result};
+
+/// From the lowest layer up: its name, and the crates of its own folder names. `output` and `numerics` know nothing of
+/// machines, so all may use them.
+const LAYERS: &[(&str, &[&str])] = &[
+    (
+        "board",
+        &["core", "link", "canopen", "store", "node", "modbus", "max31865", "numerics", "output"],
+    ),
+    ("model", &["machine"]),
+    ("analysis", &["fit", "diagnose", "learn", "compare", "accept", "page"]),
+    (
+        "tool",
+        &["cli", "client", "screen", "program", "export", "import", "linuxcnc", "gateway", "fleet"],
+    ),
+    (
+        "bench",
+        &["twin", "campaigns", "emulator", "chip", "pipe", "demo", "checks", "measured-data"],
+    ),
+];
+
+/// Returns the dependencies that lead to a higher layer, as `crate -> crate (layer)`. Those of tests alone do not count.
+pub fn arrows_up(root: &Path) -> Result<Vec<String>> {
+    let mut manifests = Vec::new();
+    for (layer, names) in LAYERS {
+        for name in *names {
+            let folders =
+                [root.join("crates").join(name), root.join("crates").join(layer).join(name)];
+            let paths = folders.iter().map(|folder| folder.join("Cargo.toml"));
+            if let Some(path) = paths.into_iter().find(|path| path.is_file()) {
+                let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+                manifests.push((*name, text));
+            }
+        }
+    }
+    Ok(manifests.iter().flat_map(|(name, text)| up(name, text)).collect())
+}
+
+/// Returns the index of a crate's layer.
+fn layer(name: &str) -> Option<usize> {
+    LAYERS.iter().position(|(_, names)| names.contains(&name))
+}
+
+fn up(name: &str, manifest: &str) -> Vec<String> {
+    let mut is_counted = false;
+    let mut found = Vec::new();
+    for line in manifest.lines().map(str::trim) {
+        if line.starts_with('[') {
+            is_counted = line.ends_with("dependencies]") && !line.contains("dev-");
+        }
+        let Some(rest) = line.strip_prefix("trueup-").filter(|_| is_counted) else { continue };
+        let end = rest.find(['.', ' ', '=']).unwrap_or(rest.len());
+        let other = &rest[..end];
+        if let (Some(own), Some(higher)) = (layer(name), layer(other))
+            && higher > own
+        {
+            found.push(format!("{name} -> {other} ({})", LAYERS[higher].0));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_dependency_on_a_higher_layer_is_an_arrow_up() {
+        let manifest = "[dependencies]\ntrueup-core.workspace = true\n\
+                        [target.'cfg(unix)'.dependencies]\ntrueup-emulator = { workspace = true }\n\
+                        [dev-dependencies]\ntrueup-twin.workspace = true\n";
+        assert_eq!(up("cli", manifest), ["cli -> emulator (bench)"]);
+        assert!(up("emulator", manifest).is_empty());
+    }
+}
