@@ -1,6 +1,5 @@
 //! What the supervisor decides every 10 ms, and what it says once a second.
 
-use micromath::F32Ext as _;
 use trueup_canopen::emergency::Fault;
 use trueup_core::{cnc::Quality, supply::Level};
 use trueup_link::slcan::Port;
@@ -172,16 +171,26 @@ impl Supervision {
 
 /// The live values, once a second, and what was refused since the start.
 pub fn log(node: &mut Node<'_>, port: &Port) {
-    let noise = node.take_noise();
-    let rms = (noise.squares as f32 / (6.0 * noise.count.max(1) as f32)).sqrt();
+    let shown = node.take_shown();
     let last = node.last();
     defmt::info!(
-        "quality {=u8}, z {=i32} nm, flags {=u8:#010b}, noise {=u32} thousandths of a code",
+        "quality {=u8}, flags {=u8:#010b}, sensor {=f32} µm, noise {=f32} codes",
         last.quality as u8,
-        last.offset.map_or(0, |offset| offset[2].0),
         last.flags.0,
-        (rms * 1_000.0) as u32,
+        // NaN: none, or not fresh.
+        shown.elongation_um.unwrap_or(f32::NAN),
+        shown.noise_codes,
     );
+    match shown.offset_um {
+        Some([x, y, z]) => defmt::info!(
+            "offset X {=f32}, Y {=f32}, Z {=f32} µm, {=f32} µm long",
+            x,
+            y,
+            z,
+            shown.length_um
+        ),
+        None => defmt::info!("offset not available"),
+    }
     let (frames, lines) = (node.receiver().counters(), port.counters());
     let refused = [frames.crc_errors, frames.sequence_errors, lines.malformed, lines.dropped];
     if refused != [0; 4] {

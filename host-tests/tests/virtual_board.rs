@@ -110,7 +110,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
         sent.extend(frames.into_iter().map(|frame| (node.now(), frame)));
         // As the board's log does, once a second; the status tells it.
         if node.now().0 % 1_000 == 10 {
-            node.take_noise();
+            node.take_shown();
         }
     }
     sent
@@ -191,13 +191,13 @@ fn the_log_measures_the_noise_of_the_front_end() {
     // The log has its own way to the host: give it a moment.
     std::thread::sleep(std::time::Duration::from_millis(300));
     let log = board.log();
-    let said = |line: &String| -> Option<u32> {
+    let said = |line: &String| -> Option<f64> {
         line.split("noise ").nth(1)?.split(' ').next()?.parse().ok()
     };
-    let noise: Vec<u32> = log.iter().filter_map(said).skip(1).collect();
-    println!("noise in thousandths of a code, from second to second: {noise:?}");
+    let noise: Vec<f64> = log.iter().filter_map(said).skip(1).collect();
+    println!("noise in codes, from second to second: {noise:?}");
     // 1 LSB and the rounding of the converter: √(1 + 1/12) = 1.041.
-    assert!(noise.len() >= 2 && noise.iter().all(|n| (1_020..1_060).contains(n)), "{log:?}");
+    assert!(noise.len() >= 2 && noise.iter().all(|n| (1.02..1.06).contains(n)), "{log:?}");
 }
 
 #[test]

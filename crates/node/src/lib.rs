@@ -6,7 +6,8 @@
 //!                 samples ──►  │
 //!          core: the law ◄─────┤
 //!          canopen, store ◄────┤
-//!                 start ◄──────┘          vectors ──► random inputs of a node, for a checksum
+//!                 start ◄──────┤          vectors ──► random inputs of a node, for a checksum
+//!                              └► shown: live values for the log, in µm
 //! ```
 //!
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
@@ -19,5 +20,6 @@
 extern crate std;
 
 pub mod node;
+pub mod shown;
 pub mod start;
 pub mod vectors;

@@ -37,7 +37,7 @@ use trueup_store::{
     writes::What,
 };
 
-use crate::start::Start;
+use crate::{shown::ShownValues, start::Start};
 
 mod faults;
 mod learned;
@@ -431,10 +431,10 @@ impl<'a> Node<'a> {
         &self.receiver
     }
 
-    /// The noise of the raw codes since the last call.
-    pub fn take_noise(&mut self) -> Noise {
+    /// Returns the live values for the log, and begins to measure the noise of the raw codes anew.
+    pub fn take_shown(&mut self) -> ShownValues {
         self.noise = self.state.take_noise();
-        self.noise
+        ShownValues::new(self.last.offset, self.state.elongation(), self.noise)
     }
 }
 
