@@ -58,6 +58,12 @@ const EXAMPLES: &[(&str, &str)] = &[
         "trueup fit table1 --run z_of_x.csv --run z_of_y.csv --run diagonal.csv -o table1.html",
     ),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
+    ("linuxcnc check", "trueup linuxcnc check machine.ini --machine machine.toml"),
+    (
+        "linuxcnc setup",
+        "trueup linuxcnc setup machine.ini --by joint --port /dev/ttyUSB0 --machine machine.toml",
+    ),
+    ("linuxcnc status", "trueup linuxcnc status machine.ini"),
     ("show", "trueup show machine.bin > shown.toml"),
     (
         "program",

@@ -1,4 +1,7 @@
-//! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL.
+//! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL; its subcommands put it into a configuration.
+
+mod configure;
+mod running;
 
 use std::{
     fs::OpenOptions,
@@ -22,7 +25,9 @@ use trueup_learn::{Live, live};
 use trueup_linuxcnc::{
     Record,
     component::TEMPERATURES,
+    configuration::ini_lines::IniLines,
     ini::Ini,
+    joint::MAX_JOINTS,
     offsets,
     run::{self, Learned, Settings},
 };
@@ -45,12 +50,19 @@ const LOG_END: Duration = Duration::from_millis(500);
 /// Runs as a component of LinuxCNC's HAL: sends commanded positions to a bridge and turns its offsets
 /// into external offsets. LinuxCNC starts it: `loadusr -W trueup linuxcnc --port ...`.
 ///
+/// `trueup linuxcnc setup` puts that line and its wires into your configuration.
 /// Pins, samples and what to do at tool setting, probing and homing: integrations/linuxcnc.
 #[derive(Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct LinuxCnc {
+    #[command(subcommand)]
+    command: Option<configure::Command>,
     /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0.
-    #[arg(long, value_name = "PORT")]
-    port: String,
+    #[arg(long, value_name = "PORT", required = true)]
+    port: Option<String>,
+    /// Where offsets enter: as external offsets of the axes, or between the joints and their drives.
+    #[arg(long, value_enum, default_value_t)]
+    by: configure::By,
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -142,11 +154,14 @@ impl Log {
     }
 }
 
-/// Runs until LinuxCNC ends it.
-pub fn run(args: &LinuxCnc) -> Result<Outcome> {
+/// Runs until LinuxCNC ends it, or changes a configuration.
+pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
+    if let Some(command) = &args.command {
+        return configure::run(command, as_json);
+    }
     trueup_output::detach();
     let log = Log::open(args.log.as_deref())?;
-    let port = Port::parse(&args.port)?;
+    let port = Port::parse(args.port.as_deref().unwrap_or_default())?;
     let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
     let against_um = LinearAxis::ALL
         .map(|axis| machine.as_ref().map(|machine| over_compensation_um(machine, axis)));
@@ -183,7 +198,9 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
     let ini = match &args.ini {
         Some(path) => {
             let ini = read_ini(path)?;
-            ini.remarks(slew_um_per_s).iter().for_each(|remark| log.tell(remark));
+            if args.by == configure::By::Eoffset {
+                ini.remarks(slew_um_per_s).iter().for_each(|remark| log.tell(remark));
+            }
             ini
         }
         None => {
@@ -192,6 +209,10 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
             );
             Ini::default()
         }
+    };
+    let joints = match args.by {
+        configure::By::Eoffset => [None; MAX_JOINTS],
+        configure::By::Joint => configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?,
     };
     let settings = Settings {
         name: args.name.clone(),
@@ -210,6 +231,7 @@ pub fn run(args: &LinuxCnc) -> Result<Outcome> {
             position_period: Duration::from_millis(args.position_period_ms),
             sends_rotary: args.rotary,
             against_um,
+            joints,
         },
     };
     let stop = Arc::new(AtomicBool::new(false));
@@ -273,10 +295,13 @@ fn nanometres(um: f64) -> i32 {
     (um * f64::from(NANOMETRES_PER_MICROMETRE)).round() as i32
 }
 
+/// Reads the INI file with what it includes.
 fn read_ini(path: &Path) -> Result<Ini> {
-    let name = path.display();
-    let text = files::text(path, MOST_BYTES)?;
-    Ok(Ini::parse(&text).map_err(|error| UserError(format!("{name}:{error}")))?)
+    let lines = IniLines::read(path).map_err(|error| UserError(error.to_string()))?;
+    Ok(Ini::parse(&lines.text()).map_err(|error| {
+        let place = lines.place_of_line(error.place.0, error.place.1);
+        UserError(format!("{place}: {}", error.rule))
+    })?)
 }
 
 #[cfg(test)]

@@ -244,7 +244,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Fit(args) => fit::run(args, cli.json),
         Command::Import(args) => import::run(args, cli.json),
         Command::Learn(args) => learn::run(args, cli.json),
-        Command::LinuxCnc(args) => linuxcnc::run(args),
+        Command::LinuxCnc(args) => linuxcnc::run(args, cli.json),
         Command::Show { calibration } => show::run(calibration, cli.json),
         Command::Program(args) => program::run(args, cli.json),
         Command::New(args) => new::run(args, cli.json),

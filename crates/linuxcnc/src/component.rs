@@ -19,6 +19,7 @@ use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
     engage::Engage,
     follower::{Follower, Pace, Reading},
+    joint::{Applied, JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS, Step},
     offsets::{Limits, ReceivedOffsets, Target},
     sender::{Command, Sender},
 };
@@ -47,6 +48,8 @@ pub struct Options {
     /// The most by which the offset of X, Y and Z goes against a reversal, in µm, where that is known:
     /// then an offset can turn an axis as well.
     pub against_um: [Option<f64>; 3],
+    /// The joints at which offsets enter; none: as external offsets of the axes.
+    pub joints: [Option<JointSettings>; MAX_JOINTS],
 }
 
 /// What the pins say.
@@ -68,6 +71,8 @@ pub struct Inputs {
     pub position_mm: [f64; 3],
     /// What LinuxCNC did with the offsets of X, Y and Z.
     pub readings: [Reading; 3],
+    /// The joints at which offsets enter.
+    pub joints: [JointReading; MAX_JOINTS],
     /// Commanded angles of the head axes in degrees.
     pub angles_deg: [f64; 2],
     /// Spindle speed in r/min.
@@ -83,6 +88,8 @@ pub struct Inputs {
 pub struct Outputs {
     /// To be added to the counts of X, Y and Z, with wrapping.
     pub counts: [i32; 3],
+    /// What `moveoff` is to do with the joints.
+    pub joints: [JointGoal; MAX_JOINTS],
     /// What the bridge says, in µm; the last that it said, where it is silent.
     pub offset_um: [f64; 3],
     /// What LinuxCNC has applied, in µm.
@@ -127,6 +134,8 @@ pub struct Component {
     options: Options,
     offsets: ReceivedOffsets,
     followers: [Follower; 3],
+    /// At the joints, if any gets an offset.
+    pub(crate) joints: JointOffsets,
     sender: Sender,
     engage: Engage,
     status: Status,
@@ -177,6 +186,7 @@ impl Component {
             options,
             offsets: ReceivedOffsets::new(now),
             followers: Default::default(),
+            joints: JointOffsets::default(),
             sender: Sender::new(options.position_period, options.sends_rotary, options.against_um),
             engage: Engage::default(),
             status: Status::default(),
@@ -216,26 +226,17 @@ impl Component {
         if let Target::Follow(offset) = target {
             self.offset_nm = offset;
         }
-        let goal = |axis: usize| match target {
-            Target::Follow(offset) => Some(offset[axis]),
+        let goal = match target {
+            Target::Follow(offset) => Some(offset),
             Target::Hold => None,
-            Target::RampOut => Some(0),
+            Target::RampOut => Some([0; 3]),
         };
         let mut outputs = Outputs::default();
-        let (mut at_zero, mut arrived) = (true, true);
-        for (axis, follower) in self.followers.iter_mut().enumerate() {
-            let reading = inputs.readings[axis];
-            let step = follower.step(now, ready, goal(axis), reading, &self.options.pace[axis]);
-            outputs.counts[axis] = step.counts;
-            outputs.limited |= step.stuck;
-            outputs.not_taken |= step.not_taken;
-            let offset = f64::from(self.offset_nm[axis]);
-            outputs.offset_um[axis] = offset / NANOMETRES_PER_MICROMETRE;
-            outputs.applied_um[axis] = reading.eoffset_nm / NANOMETRES_PER_MICROMETRE;
-            at_zero &= reading.eoffset_nm.abs() <= APPLIED_WITHIN_NM;
-            arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_WITHIN_NM
-                && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
-        }
+        let applied = self.apply(now, inputs, ready, goal, &mut outputs);
+        let Applied { nm: applied_nm, at_zero, arrived, .. } = applied;
+        outputs.offset_um = self.offset_nm.map(|nm| f64::from(nm) / NANOMETRES_PER_MICROMETRE);
+        outputs.applied_um = applied_nm.map(|nm| nm / NANOMETRES_PER_MICROMETRE);
+        let limits = &self.options.limits;
         let fresh = self.offsets.fresh(now, limits);
         // A bridge that was away may be another one, or have another calibration: until it says which.
         let is_here = fresh.is_some_and(|output| output.quality != Quality::Fault);
@@ -281,15 +282,45 @@ impl Component {
         let command = Command {
             control,
             position_mm: inputs.position_mm,
-            offset_mm: inputs
-                .readings
-                .map(|reading| reading.eoffset_nm / NANOMETRES_PER_MILLIMETRE),
+            offset_mm: applied_nm.map(|nm| nm / NANOMETRES_PER_MILLIMETRE),
             angles_deg: inputs.angles_deg,
             spindle_rpm: inputs.spindle_rpm,
             load_n: inputs.load_n,
             conditions: inputs.conditions,
         };
         (outputs, self.sender.frames(now, &command))
+    }
+
+    /// Brings the offsets towards their goal, at the joints or as external offsets.
+    fn apply(
+        &mut self,
+        now: Duration,
+        inputs: &Inputs,
+        ready: bool,
+        goal_nm: Option<[i32; 3]>,
+        outputs: &mut Outputs,
+    ) -> Applied {
+        if self.options.joints.iter().any(Option::is_some) {
+            let step = Step { ready, goal_nm, max_nm: self.options.limits.max_nm };
+            let (goals, applied) = self.joints.step(&step, &self.options.joints, &inputs.joints);
+            (outputs.joints, outputs.limited) = (goals, applied.limited);
+            return applied;
+        }
+        let mut applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
+        for (axis, follower) in self.followers.iter_mut().enumerate() {
+            let reading = inputs.readings[axis];
+            let goal = goal_nm.map(|goal| goal[axis]);
+            let step = follower.step(now, ready, goal, reading, &self.options.pace[axis]);
+            outputs.counts[axis] = step.counts;
+            outputs.limited |= step.stuck;
+            outputs.not_taken |= step.not_taken;
+            let offset = f64::from(self.offset_nm[axis]);
+            applied.nm[axis] = reading.eoffset_nm;
+            applied.at_zero &= reading.eoffset_nm.abs() <= APPLIED_WITHIN_NM;
+            applied.arrived &= (reading.eoffset_nm - offset).abs() <= APPLIED_WITHIN_NM
+                && (reading.request_nm - offset).abs() <= APPLIED_WITHIN_NM;
+        }
+        applied
     }
 }
 
@@ -327,6 +358,7 @@ pub(crate) mod tests {
             position_period,
             sends_rotary: false,
             against_um: [Some(0.0); 3],
+            joints: [None; MAX_JOINTS],
         };
         Component::new(Duration::ZERO, options)
     }

@@ -27,10 +27,12 @@
 //! | `axis.L.pos-cmd` is without the external offset | sent to the bridge as it is |
 
 pub mod component;
+pub mod configuration;
 pub mod engage;
 pub mod follower;
 pub mod hal;
 pub mod ini;
+pub mod joint;
 pub mod offsets;
 pub mod pins;
 pub mod record;

@@ -26,6 +26,9 @@
 //! | `crc-errors`, `seq-errors`, `malformed`, `lost` | u32 out | frames since the start |
 //! | `temp-NN` | float out | a temperature of the bridge in °C, by its channel; nan while it is not known |
 //! | `elongation-um` | float out | what the spindle's sensor reads, before reference and limits; nan while it is not known |
+//! | `joint-N-offset`, `-min`, `-max`, `-vel`, `-accel` | float out | to `moveoff`, where offsets enter at joint N |
+//! | `joint-N-now` | float in | `offset-current` of `moveoff` |
+//! | `joint-N-cmd`, `joint-N-reference`, `joint-N-homing` | in | `joint.N.pos-cmd`, `joint.N.motor-offset`, `joint.N.homing` |
 //! | `heartbeat` | bit out | 10 Hz as long as the component lives and its wires are whole |
 //! | `pid` | u32 out | its process |
 
@@ -35,8 +38,10 @@ use trueup_core::{cnc::Conditions, dimensions::CONDITIONS};
 
 use crate::{
     component::{Inputs, Outputs},
+    configuration::wiring::LIMITER,
     follower::Reading,
     hal::{Hal, HalError, Pin},
+    joint::{JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS},
 };
 
 /// At the pin `tool`: nobody says which it is.
@@ -45,8 +50,12 @@ const NO_TOOL_SAID: i32 = -1;
 const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// Without the wire of one of these, and of an axis' four, an offset no longer does what it says.
+/// No offset is as large, in machine units.
+const MAX_LIMIT: f64 = 1e6;
 const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
 const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
+const JOINT_WIRES: [&str; 9] =
+    ["offset", "min", "max", "vel", "accel", "now", "cmd", "reference", "homing"];
 
 /// The pins of an axis.
 struct AxisPins<'hal> {
@@ -56,6 +65,19 @@ struct AxisPins<'hal> {
     counts: Pin<'hal, i32>,
     offset_um: Pin<'hal, f64>,
     applied_um: Pin<'hal, f64>,
+}
+
+/// The pins of a joint at which an offset enters.
+struct JointPins<'hal> {
+    offset: Pin<'hal, f64>,
+    min: Pin<'hal, f64>,
+    max: Pin<'hal, f64>,
+    now: Pin<'hal, f64>,
+    command: Pin<'hal, f64>,
+    reference: Pin<'hal, f64>,
+    homing: Pin<'hal, bool>,
+    /// What a component before this one has left.
+    left: Option<JointGoal>,
 }
 
 /// A pin that nothing works without, once it is connected.
@@ -79,6 +101,7 @@ pub struct Pins<'hal> {
     tool: Pin<'hal, i32>,
     conditions: Vec<Pin<'hal, bool>>,
     axes: [AxisPins<'hal>; 3],
+    joints: [Option<JointPins<'hal>>; MAX_JOINTS],
     applied: Pin<'hal, bool>,
     connected: Pin<'hal, bool>,
     fault: Pin<'hal, bool>,
@@ -114,6 +137,7 @@ impl<'hal> Pins<'hal> {
         name: &str,
         mm_per_unit: f64,
         temperatures: u8,
+        joints: &[Option<JointSettings>; MAX_JOINTS],
     ) -> Result<Self, HalError> {
         let full = |pin: &str| format!("{name}.0.{pin}");
         let axis = |letter: &str| -> Result<AxisPins<'hal>, HalError> {
@@ -147,7 +171,11 @@ impl<'hal> Pins<'hal> {
         let [x, y, z] = AXES.map(axis);
         let temperature = |number: u8| hal.output(&full(&format!("temp-{number:02}")));
         let of_axes = AXES.iter().flat_map(|axis| AXIS_WIRES.map(|pin| format!("{axis}-{pin}")));
-        let wires = WIRES.map(String::from).into_iter().chain(of_axes);
+        let of_joints = joints
+            .iter()
+            .flatten()
+            .flat_map(|joint| JOINT_WIRES.map(|pin| format!("joint-{}-{pin}", joint.number)));
+        let wires = WIRES.map(String::from).into_iter().chain(of_axes).chain(of_joints);
         let wire = |pin: String| Wire { name: full(&pin), was_connected: Cell::new(false) };
         Ok(Self {
             hal,
@@ -165,6 +193,7 @@ impl<'hal> Pins<'hal> {
             tool,
             conditions: (0..CONDITIONS).map(condition).collect::<Result<_, HalError>>()?,
             axes: [x?, y?, z?],
+            joints: joint_pins(hal, name, mm_per_unit, joints)?,
             applied: hal.output(&full("applied"))?,
             connected: hal.output(&full("connected"))?,
             fault: hal.output(&full("fault"))?,
@@ -181,6 +210,15 @@ impl<'hal> Pins<'hal> {
             elongation_um: hal.output(&full("elongation-um"))?,
             heartbeat: hal.output(&full("heartbeat"))?,
         })
+    }
+
+    /// Lets the offsets at the joints go on from what a component before this one has left.
+    pub fn resume(&self, offsets: &mut JointOffsets) {
+        for (index, joint) in self.joints.iter().enumerate() {
+            if let Some(left) = joint.as_ref().and_then(|joint| joint.left) {
+                offsets.resume(index, left, None);
+            }
+        }
     }
 
     /// A pin that was connected and is no longer. One that never was belongs to an axis that the machine does
@@ -213,6 +251,14 @@ impl<'hal> Pins<'hal> {
                 request_nm: nm(axis.request.get()),
                 eoffset_nm: nm(axis.eoffset.get()),
             }),
+            joints: self.joints.each_ref().map(|joint| {
+                joint.as_ref().map_or_else(JointReading::default, |joint| JointReading {
+                    now_nm: nm(joint.now.get()),
+                    command_nm: nm(joint.command.get()),
+                    reference_nm: nm(joint.reference.get()),
+                    homing: joint.homing.get(),
+                })
+            }),
             angles_deg: self.angles.each_ref().map(Pin::get),
             spindle_rpm: self.spindle_rpm.get(),
             load_n: self.load_n.get(),
@@ -238,6 +284,13 @@ impl<'hal> Pins<'hal> {
             pins.offset_um.set(outputs.offset_um[axis]);
             pins.applied_um.set(outputs.applied_um[axis]);
         }
+        let units = |nm: f64| nm * MM_PER_COUNT / self.mm_per_unit;
+        for (joint, goal) in self.joints.iter().zip(&outputs.joints) {
+            let Some(joint) = joint else { continue };
+            joint.min.set(units(goal.min_nm));
+            joint.max.set(units(goal.max_nm));
+            joint.offset.set(units(goal.offset_nm));
+        }
         self.applied.set(outputs.applied);
         self.connected.set(outputs.connected);
         self.fault.set(outputs.fault);
@@ -256,4 +309,46 @@ impl<'hal> Pins<'hal> {
         self.elongation_um.set(outputs.elongation_um.unwrap_or(f64::NAN));
         self.heartbeat.set(outputs.heartbeat);
     }
+}
+
+/// Makes the pins of the joints. Until the first step they say what `moveoff` does already: a signal takes its value
+/// from the pin that is connected to it.
+fn joint_pins<'hal>(
+    hal: &'hal Hal,
+    name: &str,
+    mm_per_unit: f64,
+    joints: &[Option<JointSettings>; MAX_JOINTS],
+) -> Result<[Option<JointPins<'hal>>; MAX_JOINTS], HalError> {
+    let mut all = [const { None }; MAX_JOINTS];
+    for (channel, settings) in joints.iter().enumerate() {
+        let Some(settings) = *settings else { continue };
+        let full = |pin: &str| format!("{name}.0.joint-{}-{pin}", settings.number);
+        let there = |pin: &str| hal.foreign::<f64>(&format!("{LIMITER}.offset-{pin}-{channel}"));
+        let [offset, min, max] =
+            [hal.output(&full("offset"))?, hal.output(&full("min"))?, hal.output(&full("max"))?];
+        let nm = |units: f64| units * mm_per_unit / MM_PER_COUNT;
+        // The limits of a moveoff that no component has driven yet are 10²⁰.
+        let driven = there("min")
+            .zip(there("max"))
+            .filter(|(min, max)| min.abs() < MAX_LIMIT && max.abs() < MAX_LIMIT);
+        let left = driven.zip(there("in")).map(|((low, high), goal)| {
+            min.set(low);
+            max.set(high);
+            offset.set(goal);
+            JointGoal { offset_nm: nm(goal), min_nm: nm(low), max_nm: nm(high) }
+        });
+        hal.output::<f64>(&full("vel"))?.set(settings.mm_per_s / mm_per_unit);
+        hal.output::<f64>(&full("accel"))?.set(settings.mm_per_s2 / mm_per_unit);
+        all[channel] = Some(JointPins {
+            offset,
+            min,
+            max,
+            now: hal.input(&full("now"))?,
+            command: hal.input(&full("cmd"))?,
+            reference: hal.input(&full("reference"))?,
+            homing: hal.input(&full("homing"))?,
+            left,
+        });
+    }
+    Ok(all)
 }

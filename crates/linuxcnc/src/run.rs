@@ -70,10 +70,11 @@ pub fn run(
 ) -> Result<(), HalError> {
     let Settings { name, mm_per_unit, temperatures, calibration, pinned, turn, options } = settings;
     let hal = Hal::new(name, &pid_pin(name))?;
-    let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures)?;
+    let pins = Pins::new(&hal, name, *mm_per_unit, *temperatures, &options.joints)?;
     let line = Line::keep(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
+    pins.resume(&mut component.joints);
     let mut news = News::of(pinned.clone());
     hal.ready()?;
     if hal.adopts() {

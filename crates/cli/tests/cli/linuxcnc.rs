@@ -36,7 +36,7 @@ fn a_bad_ini_or_machine_file_is_refused_with_its_place() {
     ]);
     let rule = "bad.ini:2:16: [AXIS_X]MAX_VELOCITY = fast is not a number";
     refused(&desk, &format!("linuxcnc {PORT} --ini bad.ini"), rule);
-    refused(&desk, &format!("linuxcnc {PORT} --ini missing.ini"), "missing.ini: ");
+    refused(&desk, &format!("linuxcnc {PORT} --ini missing.ini"), "missing.ini:1:1: ");
     refused(&desk, &format!("linuxcnc {PORT} --machine bad.toml"), "bad.toml:2:8");
 }
 

@@ -78,12 +78,24 @@ def mode(name):
     wait(name, lambda: status.task_mode == MODES[name])
 
 
-def home():
+def home(joint=-1):
     mode("manual")
     command.teleop_enable(0)
     command.wait_complete()
-    command.home(-1)
+    command.home(joint)
+    if joint >= 0:
+        wait("homing", lambda: not status.homed[joint], 5.0)
     wait("home", lambda: all(status.homed[: status.joints]))
+
+
+def jog(axis, speed):
+    """Jogs an axis until it stands: at its limit, or stopped by something else."""
+    mode("manual")
+    command.teleop_enable(1)
+    command.wait_complete()
+    command.jog(linuxcnc.JOG_CONTINUOUS, 0, axis, speed)
+    time.sleep(0.2)
+    wait("jog", lambda: status.inpos)
 
 
 def unhome():
@@ -200,7 +212,7 @@ def stat():
 VERBS = {
     function.__name__: function
     for function in (
-        *(state, mode, home, unhome, teleop),
+        *(state, mode, home, unhome, teleop, jog),
         *(mdi, begin_mdi, begin, busy, stopped, resume, abort),
         *(pins, setp, mark, zero, halcmd, stat),
     )

@@ -1,0 +1,351 @@
+//! `trueup linuxcnc check`, `setup` and `status`: a user's configuration and what of ours is in it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use clap::{Args, Subcommand, ValueEnum};
+use serde_json::{Value, json};
+use trueup_client::port::Port;
+use trueup_linuxcnc::configuration::{
+    Entry,
+    check::{self, Report},
+    finding::{Demand, Finding, Severity},
+    hal_files::HalFiles,
+    ini_lines::{IniLines, expand_home},
+    install::{self, Change},
+    installed::{self, Bridge, Installed},
+    joints,
+};
+use trueup_linuxcnc::joint::{JointSettings, MAX_JOINTS};
+use trueup_machine::{Machine, check::Warning};
+
+use super::running;
+use crate::{Outcome, UserError, files, output, report};
+
+/// How often positions are sent over a serial line or CAN.
+const POSITION_PERIOD_MS: u64 = 2;
+const UM_PER_MM: f64 = 1e3;
+
+/// Where offsets enter LinuxCNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum By {
+    /// As external offsets of the axes: the planner gives them a share of speed and acceleration.
+    #[default]
+    Eoffset,
+    /// Between the joints and their drives, by moveoff: programs keep all of their speed.
+    Joint,
+}
+
+impl From<By> for Entry {
+    fn from(by: By) -> Self {
+        match by {
+            By::Eoffset => Self::Eoffset,
+            By::Joint => Self::Joint,
+        }
+    }
+}
+
+/// What is done with a configuration.
+#[derive(Subcommand)]
+pub enum Command {
+    /// Checks a LinuxCNC configuration: what stands in the way of offsets, what they cost, how fast they are.
+    ///
+    /// Exit 3: something stands in the way. Exit 2: a file cannot be read.
+    Check(Check),
+    /// Puts offsets into a LinuxCNC configuration, or takes them out. Nothing is changed if the check finds an error.
+    ///
+    /// Written are two HAL files next to the INI file, and lines between marks in the INI file. A copy of each changed
+    /// file is kept (FILE.trueup-backup). Exit 2: the check has found an error.
+    Setup(Setup),
+    /// Says what setup has written, and, while LinuxCNC runs, what the offsets do.
+    ///
+    /// Exit 3: not set up, not up to date, or without live offsets.
+    Status(Status),
+}
+
+/// The configuration to be checked.
+#[derive(Args)]
+pub struct Check {
+    /// LinuxCNC's INI file.
+    #[arg(value_name = "INI")]
+    ini: PathBuf,
+    /// Where offsets enter. Without this as it is set up, else at the joint.
+    #[arg(long, value_enum)]
+    by: Option<By>,
+    /// The machine file that the bridge is loaded with: largest offset, slew limit, what it corrects.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+}
+
+/// The configuration to be set up.
+#[derive(Args)]
+pub struct Setup {
+    /// LinuxCNC's INI file.
+    #[arg(value_name = "INI")]
+    ini: PathBuf,
+    /// Takes out what setup has written.
+    #[arg(long, conflicts_with_all = ["by", "machine", "port", "position_period_ms"])]
+    remove: bool,
+    /// Where offsets enter. Without this as it is set up, else at the joint.
+    #[arg(long, value_enum)]
+    by: Option<By>,
+    /// The machine file that the bridge is loaded with.
+    #[arg(long, value_name = "M.toml")]
+    machine: Option<PathBuf>,
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0. Needed the first time.
+    #[arg(long, value_name = "PORT")]
+    port: Option<String>,
+    /// How often the position of a moving axis is sent.
+    #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..=100))]
+    position_period_ms: Option<u64>,
+}
+
+/// The configuration to be looked at.
+#[derive(Args)]
+pub struct Status {
+    /// LinuxCNC's INI file.
+    #[arg(value_name = "INI")]
+    ini: PathBuf,
+}
+
+/// A configuration with what of ours is in it.
+struct Configuration {
+    ini: IniLines,
+    hal: HalFiles,
+    installed: Option<Installed>,
+}
+
+impl Configuration {
+    fn read(path: &Path) -> Result<Self> {
+        let ini = IniLines::read(path)?;
+        let hal = HalFiles::read(&ini)?;
+        let installed = Installed::of(&ini);
+        Ok(Self { ini, hal, installed })
+    }
+
+    /// Where offsets enter, if the user does not say.
+    fn entry(&self, by: Option<By>) -> Entry {
+        let here = self.installed.as_ref().map(|it| it.entry);
+        let by_hand = || installed::by_hand(&self.ini, &self.hal).map(|it| it.1);
+        by.map(Entry::from).or(here).or_else(by_hand).unwrap_or(Entry::Joint)
+    }
+
+    /// The machine file as the INI file names it, else as the user does.
+    fn machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
+        let here = || self.installed.as_ref().and_then(|it| it.bridge.machine.clone());
+        let (name, path) = match (given, here()) {
+            (Some(path), _) => (named(path, self.ini.folder()), path.to_path_buf()),
+            (None, Some(name)) => {
+                let path = self.ini.folder().join(expand_home(&name));
+                (name, path)
+            }
+            (None, None) => return Ok(None),
+        };
+        Ok(Some((name, files::machine(&path)?)))
+    }
+}
+
+/// LinuxCNC runs in the folder of the INI file: a file in it goes by its name, any other by its whole path.
+fn named(path: &Path, folder: &Path) -> String {
+    let whole = |path: &Path| std::fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+    let (path, folder) = (whole(path), whole(folder));
+    path.strip_prefix(&folder).unwrap_or(&path).to_string_lossy().into_owned()
+}
+
+/// Returns how the joints of LinuxCNC's configuration are moved.
+pub fn joint_settings(
+    ini: Option<&Path>,
+    slew_um_per_s: f64,
+) -> Result<[Option<JointSettings>; MAX_JOINTS]> {
+    let no_ini = || UserError("--by joint needs LinuxCNC's INI file: --ini FILE".into());
+    let ini = IniLines::read(ini.ok_or_else(no_ini)?)?;
+    let mm_per_unit = super::read_ini(ini.path())?.mm_per_unit;
+    Ok(joints::settings(&ini, mm_per_unit, slew_um_per_s / UM_PER_MM)?)
+}
+
+/// Does what the user asks for.
+pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
+    match command {
+        Command::Check(args) => checked(args, as_json),
+        Command::Setup(args) if args.remove => removed(args, as_json),
+        Command::Setup(args) => set_up(args, as_json),
+        Command::Status(args) => status(args, as_json),
+    }
+}
+
+fn checked(args: &Check, as_json: bool) -> Result<Outcome> {
+    let configuration = Configuration::read(&args.ini)?;
+    let machine = configuration.machine(args.machine.as_deref())?;
+    let demand = Demand::of(configuration.entry(args.by), machine.as_ref().map(|it| &it.1));
+    let found = check::check(&configuration.ini, &configuration.hal, &demand);
+    print_report(&found, &demand, as_json)?;
+    Ok(if found.is_usable() { Outcome::Done } else { Outcome::NotMet })
+}
+
+/// Facts on standard output, findings as errors and warnings.
+fn print_report(found: &Report, demand: &Demand, as_json: bool) -> Result<()> {
+    if as_json {
+        let object = |it: &Finding| {
+            let severity = match it.severity {
+                Severity::Error => "error",
+                Severity::Warning => "warning",
+            };
+            report::object(severity, &it.what, Some(&it.place), Some(&it.help))
+        };
+        let findings: Vec<Value> = found.findings.iter().map(object).collect();
+        return output::print(json!({
+            "by": demand.entry.name(), "usable": found.is_usable(), "facts": found.facts, "findings": findings,
+            "by_hand": found.by_hand,
+        }));
+    }
+    for fact in &found.facts {
+        output::print(fact)?;
+    }
+    print_findings(found);
+    found.by_hand.iter().try_for_each(output::print)?;
+    let errors = found.findings.iter().filter(|it| it.severity == Severity::Error).count();
+    output::print(match (errors, found.findings.len()) {
+        (0, 0) => "nothing stands in the way".to_string(),
+        (0, warnings) => format!("nothing stands in the way; {warnings} to know"),
+        (errors, all) => format!("{errors} in the way; {} to know", all - errors),
+    })
+}
+
+fn print_findings(found: &Report) {
+    for Finding { severity, place, what, help } in &found.findings {
+        let (place, what, help) = (place.clone(), what.clone(), help.clone());
+        match severity {
+            Severity::Warning => report::warning(&Warning { place, what, help }),
+            Severity::Error => {
+                let error = trueup_machine::BadInput::new(place, what);
+                report::bad_input(if help.is_empty() { error } else { error.with_help(help) });
+            }
+        }
+    }
+}
+
+fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
+    let configuration = Configuration::read(&args.ini)?;
+    let machine = configuration.machine(args.machine.as_deref())?;
+    let demand = Demand::of(configuration.entry(args.by), machine.as_ref().map(|it| &it.1));
+    let before = configuration.installed.as_ref().map(|it| &it.bridge);
+    let port = args.port.clone().or_else(|| before.map(|it| it.port.clone()));
+    let Some(port) = port else {
+        return Err(UserError(
+            "--port is missing: where is the bridge? A serial device, tcp:HOST:PORT, or can0; `trueup bridge list` \
+             shows what is connected"
+                .into(),
+        )
+        .into());
+    };
+    Port::parse(&port)?;
+    let period = args.position_period_ms.or(before.map(|it| it.position_period_ms));
+    let bridge = Bridge {
+        port,
+        machine: machine.map(|it| it.0),
+        position_period_ms: period.unwrap_or(POSITION_PERIOD_MS),
+    };
+    let Configuration { ini, hal, .. } = &configuration;
+    let (found, changes) = install::setup(ini, hal, &demand, &bridge)?;
+    if !found.is_usable() {
+        print_findings(&found);
+        found.by_hand.iter().try_for_each(output::print)?;
+        return Err(UserError(format!(
+            "{}: nothing was changed, because of the errors above",
+            args.ini.display()
+        ))
+        .into());
+    }
+    write(&changes)?;
+    if as_json {
+        output::print(
+            json!({"by": demand.entry.name(), "changed": names(&changes), "facts": found.facts}),
+        )?;
+        return Ok(Outcome::Done);
+    }
+    found.facts.iter().try_for_each(output::print)?;
+    print_findings(&found);
+    print_changes(&changes, "set up already; nothing was changed")?;
+    output::print(format!("then: linuxcnc {}", args.ini.display()))?;
+    Ok(Outcome::Done)
+}
+
+fn removed(args: &Setup, as_json: bool) -> Result<Outcome> {
+    // HAL files may be gone meanwhile: they are not needed to take lines out.
+    let changes = install::remove(&IniLines::read(&args.ini)?)?;
+    write(&changes)?;
+    if as_json {
+        output::print(json!({"changed": names(&changes)}))?;
+    } else {
+        print_changes(&changes, "nothing of setup is in it; nothing was changed")?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn names(changes: &[Change]) -> Vec<String> {
+    changes.iter().map(|change| change.path.display().to_string()).collect()
+}
+
+fn print_changes(changes: &[Change], nothing: &str) -> Result<()> {
+    for Change { path, text } in changes {
+        let done = if text.is_some() { "written" } else { "removed" };
+        output::print(format!("{done}: {}", path.display()))?;
+    }
+    if changes.is_empty() { output::print(nothing) } else { Ok(()) }
+}
+
+/// Writes all of them or none.
+fn write(changes: &[Change]) -> Result<()> {
+    let mut set = output::FileSet::new(&[]);
+    for Change { path, text } in changes {
+        match text {
+            Some(text) => set.text(path, text)?,
+            None => set.remove(path)?,
+        }
+    }
+    set.commit()
+}
+
+fn status(args: &Status, as_json: bool) -> Result<Outcome> {
+    let configuration = Configuration::read(&args.ini)?;
+    let Configuration { ini, hal, installed } = &configuration;
+    let mut lines = Vec::new();
+    let mut is_well = true;
+    match installed {
+        Some(Installed { entry, bridge }) => {
+            let machine = bridge.machine.as_deref().unwrap_or("no machine file");
+            lines.push(format!("set up by {}: bridge at {}, {machine}", entry.name(), bridge.port));
+            let machine = configuration.machine(None)?;
+            let demand = Demand::of(*entry, machine.as_ref().map(|it| &it.1));
+            let (found, changes) = install::setup(ini, hal, &demand, bridge)?;
+            print_findings(&found);
+            if !found.is_usable() || !changes.is_empty() {
+                is_well = false;
+                lines.push("the configuration has changed since: run setup again".into());
+            }
+        }
+        None if installed::by_hand(ini, hal).is_some() => lines.push("connected by hand".into()),
+        None => {
+            is_well = false;
+            lines.push(format!(
+                "not set up: trueup linuxcnc setup {} --port PORT",
+                args.ini.display()
+            ));
+        }
+    }
+    let now = running::pins()?;
+    match &now {
+        None => lines.push("LinuxCNC does not run".into()),
+        Some(pins) => {
+            let (text, is_live) = running::in_words(pins);
+            lines.push(text);
+            is_well &= is_live;
+        }
+    }
+    if as_json {
+        output::print(json!({"well": is_well, "lines": lines, "pins": now}))?;
+    } else {
+        lines.iter().try_for_each(output::print)?;
+    }
+    Ok(if is_well { Outcome::Done } else { Outcome::NotMet })
+}

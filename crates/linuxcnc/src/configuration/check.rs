@@ -1,0 +1,348 @@
+//! What in a configuration stands in the way of offsets, and what they will cost or reach.
+
+use super::{
+    Entry,
+    finding::{Demand, Finding, Severity},
+    hal_files::HalFiles,
+    ini_lines::IniLines,
+    installed::by_hand,
+    joints::{ASSUMED, Headroom, Joint, REVERSAL_UM, SMALL, joints, reversal_s},
+    wiring,
+};
+use crate::ini::Ini;
+
+/// Servo periods that are supported, in ns.
+const PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
+/// `OFFSET_AV_RATIO` may be so large.
+const MAX_RATIO: f64 = 0.9;
+const AXES: [&str; 3] = ["X", "Y", "Z"];
+const PERCENT: f64 = 100.0;
+const MS: f64 = 1e3;
+const UM_PER_MM: f64 = 1e3;
+
+/// What a check has found.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// Errors and warnings in the order of the checks.
+    pub findings: Vec<Finding>,
+    /// Statements about what the offsets will do, a line each.
+    pub facts: Vec<String>,
+    /// The lines to be added by hand, where setup cannot change the configuration.
+    pub by_hand: Option<String>,
+}
+
+impl Report {
+    /// Returns true if nothing stands in the way.
+    #[must_use]
+    pub fn is_usable(&self) -> bool {
+        self.findings.iter().all(|it| it.severity != Severity::Error)
+    }
+}
+
+/// Checks a configuration.
+#[must_use]
+pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
+    let mut report = Report::default();
+    for section in ["HAL", "TRUEUP", "KINS", "TRAJ", "EMCMOT"] {
+        second_section(ini, section, &mut report);
+    }
+    hal_style(ini, hal, &mut report);
+    let is_closed = !report.is_usable();
+    let Some(base) = base(ini, &mut report) else { return report };
+    let joints = match joints(ini) {
+        Ok(joints) => joints,
+        Err(error) => {
+            report.findings.push(error.into());
+            return report;
+        }
+    };
+    if is_closed {
+        report.by_hand = Some(wiring::by_hand(ini, hal, &joints, demand));
+    }
+    report.facts.push(format!(
+        "offsets enter {}, up to {} um/s; servo period {} ms",
+        match demand.entry {
+            Entry::Eoffset => "as external offsets of the axes",
+            Entry::Joint => "between the joints and their drives",
+        },
+        demand.slew_um_per_s,
+        base.cycle_s * MS
+    ));
+    for joint in &joints {
+        for section in [joint.section(), format!("AXIS_{}", AXES[joint.axis])] {
+            second_section(ini, &section, &mut report);
+        }
+        double_compensation(ini, joint, demand, &mut report);
+    }
+    match demand.entry {
+        Entry::Joint => joints.iter().for_each(|joint| at_joint(joint, &base, demand, &mut report)),
+        Entry::Eoffset => at_axes(ini, &joints, &base, demand, &mut report),
+    }
+    soft_limits(ini, &joints, &base, demand, &mut report);
+    // What is connected by hand occupies the pins that setup would take.
+    if report.is_usable() && by_hand(ini, hal).is_none() {
+        report.findings.extend(wiring::wiring(ini, hal, &joints, demand).err().unwrap_or_default());
+    }
+    report
+}
+
+/// LinuxCNC reads the first section of a name alone: lines of a second one have no effect.
+fn second_section(ini: &IniLines, section: &str, report: &mut Report) {
+    if let Some(place) = ini.second_header_of(section) {
+        report.findings.push(Finding::warning(
+            place,
+            format!("a second [{section}]: LinuxCNC reads the first one alone"),
+            "move its lines into the first one",
+        ));
+    }
+}
+
+/// HAL files that cannot be followed.
+fn hal_style(ini: &IniLines, hal: &HalFiles, report: &mut Report) {
+    let by_hand = "setup cannot change it; add the lines by hand that are printed with this check";
+    if let Some(value) = ini.value("HAL", "TWOPASS") {
+        let what =
+            "[HAL]TWOPASS: LinuxCNC collects loadrt lines of all files before it runs the rest";
+        report.findings.push(Finding::error(value.place, what, by_hand));
+    }
+    for value in &hal.tcl {
+        let what = format!("HALFILE = {}: a Tcl file may connect anything", value.text);
+        report.findings.push(Finding::error(value.place.clone(), what, by_hand));
+    }
+}
+
+/// Units and servo period.
+fn base(ini: &IniLines, report: &mut Report) -> Option<Ini> {
+    let base = match Ini::parse(&ini.text()) {
+        Ok(base) => base,
+        Err(error) => {
+            let place = ini.place_of_line(error.place.0, error.place.1);
+            report.findings.push(Finding::error(place, error.rule, ""));
+            return None;
+        }
+    };
+    let period_ns = base.cycle_s * 1e9;
+    // A billionth of rounding.
+    if !PERIODS_NS.contains(&period_ns.round()) {
+        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
+        report.findings.push(Finding::error(
+            place.unwrap_or_else(|| ini.place_of_section("EMCMOT")),
+            format!("[EMCMOT]SERVO_PERIOD = {} ns: 0.5 to 4 ms are supported", period_ns.round()),
+            "set it between 500000 and 4000000",
+        ));
+    }
+    Some(base)
+}
+
+/// LinuxCNC's own compensation of the screw, together with ours.
+fn double_compensation(ini: &IniLines, joint: &Joint, demand: &Demand, report: &mut Report) {
+    let (section, axis) = (joint.section(), AXES[joint.axis]);
+    let ours = demand.corrects_screw.map(|corrects| corrects[joint.axis]);
+    let comp_file = ini.value(&section, "COMP_FILE").filter(|it| !it.text.is_empty());
+    let backlash = match ini.number(&section, "BACKLASH") {
+        Ok(number) => number.filter(|(width, _)| *width != 0.0),
+        Err(error) => return report.findings.push(error.into()),
+    };
+    let found = [
+        comp_file.map(|it| (it.place, format!("[{section}]COMP_FILE"), "take the line out")),
+        backlash.map(|it| (it.1, format!("[{section}]BACKLASH = {}", it.0), "set it to 0")),
+    ];
+    for (place, what, mend) in found.into_iter().flatten() {
+        report.findings.push(match ours {
+            Some(true) => Finding::error(
+                place,
+                format!("{what}: LinuxCNC and the machine file would both correct {axis}"),
+                format!("{mend}, or take pitch and backlash of {axis} out of the machine file"),
+            ),
+            None => Finding::error(
+                place,
+                format!("{what}: without a machine file it is not known whether {axis} would be corrected twice"),
+                format!("{mend}, or give --machine with a file that corrects neither pitch nor backlash of {axis}"),
+            ),
+            Some(false) => Finding::warning(
+                place,
+                format!("{what}: LinuxCNC's own compensation may take speed and acceleration to 150 % of the limits"),
+                format!("let the machine file correct {axis}, and {mend}"),
+            ),
+        });
+    }
+}
+
+/// Headroom of a joint.
+fn at_joint(joint: &Joint, base: &Ini, demand: &Demand, report: &mut Report) {
+    let section = joint.section();
+    let acceleration = &joint.acceleration;
+    let share = acceleration.share() * PERCENT;
+    let slew_mm_per_s = demand.slew_um_per_s / UM_PER_MM;
+    let mm_per_s = joint.offset_mm_per_s(slew_mm_per_s, base.mm_per_unit);
+    let time_s =
+        reversal_s(REVERSAL_UM / UM_PER_MM, mm_per_s, acceleration.left() * base.mm_per_unit);
+    let line = |key: &str, headroom: &Headroom| {
+        format!("[{section}]{key} = {}", round(headroom.planner * (1.0 + ASSUMED)))
+    };
+    let mend = format!(
+        "if the drive has more, state it: {}; if not, lower MAX_ACCELERATION of joint and axis",
+        line("STEPGEN_MAXACCEL", acceleration)
+    );
+    if acceleration.stated.is_some() && acceleration.left() <= 0.0 {
+        let what = format!(
+            "[{section}]STEPGEN_MAXACCEL leaves nothing above MAX_ACCELERATION: an offset cannot move"
+        );
+        report.findings.push(Finding::error(joint.place.clone(), what, mend));
+        return;
+    }
+    if joint.velocity.stated.is_some() && joint.velocity.left() <= 0.0 {
+        let what = format!(
+            "[{section}]STEPGEN_MAXVEL leaves nothing above MAX_VELOCITY: an offset cannot move"
+        );
+        let mend =
+            format!("if the drive has more, state it: {}", line("STEPGEN_MAXVEL", &joint.velocity));
+        report.findings.push(Finding::error(joint.place.clone(), what, mend));
+        return;
+    }
+    if share < SMALL * PERCENT {
+        let what = format!(
+            "[{section}]: the drive has {share:.1} % of acceleration above the planner's: a reversal of {REVERSAL_UM} um takes {:.1} ms",
+            time_s * MS
+        );
+        report.findings.push(Finding::warning(joint.place.clone(), what, mend));
+    }
+    if mm_per_s < slew_mm_per_s {
+        let what = format!(
+            "[{section}]: the drive has {:.1} um/s of speed above MAX_VELOCITY, and offsets may change by {} um/s",
+            mm_per_s * UM_PER_MM,
+            demand.slew_um_per_s
+        );
+        let mend = format!(
+            "the smaller one holds; if the drive has more, state it: {}",
+            line("STEPGEN_MAXVEL", &joint.velocity)
+        );
+        report.findings.push(Finding::warning(joint.place.clone(), what, mend));
+    }
+    let assumed = match acceleration.stated {
+        Some(_) => String::new(),
+        None => format!(" (assumed: state it by {})", line("STEPGEN_MAXACCEL", acceleration)),
+    };
+    report.facts.push(format!(
+        "joint {} ({}): headroom {share:.0} % of acceleration{assumed}; a reversal of {REVERSAL_UM} um takes {:.1} ms",
+        joint.number,
+        AXES[joint.axis],
+        time_s * MS
+    ));
+}
+
+/// What external offsets cost and reach.
+fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report: &mut Report) {
+    for (axis, name) in AXES.iter().enumerate() {
+        if joints.iter().all(|joint| joint.axis != axis) {
+            continue;
+        }
+        let section = format!("AXIS_{name}");
+        let motion = &base.axes[axis];
+        let stated = ini.value(&section, "OFFSET_AV_RATIO");
+        let place =
+            stated.as_ref().map_or_else(|| ini.place_of_section(&section), |it| it.place.clone());
+        let Some(proper) = wiring::ratio(motion.velocity_mm_per_s, demand.slew_um_per_s) else {
+            let what = format!(
+                "[{section}]MAX_VELOCITY is missing: an external offset gets a share of it"
+            );
+            report.findings.push(Finding::error(place, what, "state it"));
+            continue;
+        };
+        if ini.header_of(&section).is_none() {
+            let what = format!("[{section}] is missing: OFFSET_AV_RATIO belongs there");
+            report.findings.push(Finding::error(
+                place,
+                what,
+                format!("add [{section}] with MAX_VELOCITY"),
+            ));
+            continue;
+        }
+        let ratio = if stated.is_some() { motion.ratio } else { proper };
+        if !(0.0..=MAX_RATIO).contains(&ratio) || ratio == 0.0 {
+            let what =
+                format!("[{section}]OFFSET_AV_RATIO = {ratio}: LinuxCNC moves no offset of {name}");
+            report.findings.push(Finding::error(
+                place,
+                what,
+                format!("above 0 and at most {MAX_RATIO}; {proper:.6} would do"),
+            ));
+            continue;
+        }
+        let velocity = motion.velocity_mm_per_s.unwrap_or_default() * ratio;
+        let acceleration = motion.acceleration_mm_per_s2.unwrap_or(base.mm_per_unit) * ratio;
+        if stated.is_some() && velocity * UM_PER_MM < demand.slew_um_per_s * 0.999 {
+            let what = format!(
+                "[{section}]OFFSET_AV_RATIO lets offsets change by {:.1} um/s, and the slew limit is {} um/s",
+                velocity * UM_PER_MM,
+                demand.slew_um_per_s
+            );
+            report.findings.push(Finding::warning(place, what, format!("{proper:.6} would do")));
+        }
+        let slew = velocity.min(demand.slew_um_per_s / UM_PER_MM);
+        report.facts.push(format!(
+            "axis {name}: OFFSET_AV_RATIO = {ratio:.6}{}: programs lose {:.3} % of speed and acceleration; a reversal of {REVERSAL_UM} um takes {:.0} ms",
+            if stated.is_some() { "" } else { " (setup adds it)" },
+            ratio * PERCENT,
+            reversal_s(REVERSAL_UM / UM_PER_MM, slew, acceleration) * MS
+        ));
+    }
+}
+
+/// Room between the ranges of programs and the joints' limits.
+fn soft_limits(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report: &mut Report) {
+    for joint in joints {
+        let (axis, max_um) = (AXES[joint.axis], demand.max_um[joint.axis]);
+        let section = format!("AXIS_{axis}");
+        let max = max_um / UM_PER_MM / base.mm_per_unit;
+        let limits = ["MIN_LIMIT", "MAX_LIMIT"].map(|key| ini.number(&section, key));
+        let [low, high] = match limits {
+            [Ok(low), Ok(high)] => [low, high],
+            [Err(error), _] | [_, Err(error)] => {
+                report.findings.push(error.into());
+                continue;
+            }
+        };
+        if let (Some(low), Some(high)) = (&low, &high)
+            && high.0 - low.0 <= 2.0 * max
+        {
+            let what = format!(
+                "[{section}]: {} to {} leaves no room for offsets of {max_um} um",
+                low.0, high.0
+            );
+            report.findings.push(Finding::error(
+                low.1.clone(),
+                what,
+                "make limits.max_um of the machine file smaller",
+            ));
+            continue;
+        }
+        for (sign, of_axis, of_joint, key) in
+            [(-1.0, &low, joint.limits[0], "MIN_LIMIT"), (1.0, &high, joint.limits[1], "MAX_LIMIT")]
+        {
+            let (Some((of_axis, place)), Some(of_joint)) = (of_axis, of_joint) else { continue };
+            let reaches = of_axis + sign * max;
+            // A billionth of rounding.
+            if (reaches - of_joint) * sign > 1e-9 {
+                let what = format!(
+                    "[{section}]{key} = {of_axis} and an offset of {max_um} um are {}, beyond [{}]{key} = {of_joint}: \
+                     close to it the offset stands back",
+                    round(reaches),
+                    joint.section()
+                );
+                let mend = format!(
+                    "leave room for it: [{section}]{key} = {}, or [{}]{key} = {} if the machine can go there",
+                    round(of_joint - sign * max),
+                    joint.section(),
+                    round(reaches)
+                );
+                report.findings.push(Finding::warning(place.clone(), what, mend));
+            }
+        }
+    }
+}
+
+/// Rounds to a millionth, which is arithmetic.
+fn round(value: f64) -> f64 {
+    (value * 1e6).round() / 1e6
+}

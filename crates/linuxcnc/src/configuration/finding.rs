@@ -1,0 +1,76 @@
+//! What a check is asked, and what it finds: a place, what is there, what to do.
+
+use trueup_machine::{BadInput, Location, Machine};
+
+use super::Entry;
+
+/// How much a finding matters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Severity {
+    /// Offsets would be wrong, or LinuxCNC would not start: setup writes nothing.
+    Error,
+    /// They work, with a limit that you should know.
+    Warning,
+}
+
+/// Something in the configuration.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// How much it matters.
+    pub severity: Severity,
+    /// Where it is.
+    pub place: Location,
+    /// What is there and what follows from it.
+    pub what: String,
+    /// What to do about it.
+    pub help: String,
+}
+
+impl Finding {
+    pub(super) fn error(place: Location, what: impl Into<String>, help: impl Into<String>) -> Self {
+        Self { severity: Severity::Error, place, what: what.into(), help: help.into() }
+    }
+
+    pub(super) fn warning(
+        place: Location,
+        what: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self { severity: Severity::Warning, place, what: what.into(), help: help.into() }
+    }
+}
+
+/// What is read wrong is an error of the configuration too.
+impl From<BadInput> for Finding {
+    fn from(BadInput { place, rule, help, .. }: BadInput) -> Self {
+        Self::error(place, rule, help.unwrap_or_default())
+    }
+}
+
+/// What is asked of the offsets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Demand {
+    /// Where they enter.
+    pub entry: Entry,
+    /// Largest offset of X, Y and Z, in µm.
+    pub max_um: [f64; 3],
+    /// Fastest change, in µm/s.
+    pub slew_um_per_s: f64,
+    /// True for each axis whose pitch or backlash the machine file corrects; `None` without a machine file.
+    pub corrects_screw: Option<[bool; 3]>,
+}
+
+impl Demand {
+    /// Returns what a machine file asks for; without one, the limits that the component then uses.
+    #[must_use]
+    pub fn of(entry: Entry, machine: Option<&Machine>) -> Self {
+        let limits = machine.map(|it| it.limits).unwrap_or_default();
+        let corrects_screw = machine.map(|machine| {
+            machine
+                .axes
+                .each_ref()
+                .map(|it| it.pitch.is_some() || it.backlash.is_some() || it.dual.is_some())
+        });
+        Self { entry, max_um: limits.max_um, slew_um_per_s: limits.slew_um_per_s, corrects_screw }
+    }
+}

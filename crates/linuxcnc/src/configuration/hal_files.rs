@@ -1,0 +1,326 @@
+//! The HAL files of a configuration: their commands with places, which signal a pin is on, and what a thread runs.
+//!
+//! Only what decides how offsets enter is understood: `net`, the `link…` commands, `unlinkp`, `delsig`, `addf`, `delf`,
+//! `loadrt`, `loadusr`, `source`. `[SECTION]KEY` is replaced as `halcmd` does it.
+
+use std::{collections::BTreeMap, path::PathBuf};
+
+use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+
+use super::ini_lines::{IniLines, Value, expand_home, is_file};
+
+/// Where LinuxCNC keeps HAL files of its own, unless `HALLIB_DIR` says otherwise.
+const LIBRARY: &str = "/usr/share/linuxcnc/hallib";
+/// `source` may call files that call files, so deep.
+const MAX_DEPTH: usize = 8;
+/// Between the pins of a `net`.
+const ARROWS: [&str; 3] = ["=>", "<=", "<=>"];
+
+/// A command of a HAL file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HalCommand {
+    /// Its words, with the values of the INI file.
+    pub words: Vec<String>,
+    /// Its line.
+    pub place: Location,
+}
+
+/// A signal that a pin is on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Link {
+    /// Name of the signal.
+    pub signal: String,
+    /// The line that connects the pin.
+    pub place: Location,
+}
+
+/// All HAL commands of a configuration but those of setup.
+#[derive(Clone, Debug, Default)]
+pub struct HalFiles {
+    /// Commands before LinuxCNC starts, in their order.
+    pub commands: Vec<HalCommand>,
+    /// Commands after the screen has come (`POSTGUI_HALFILE`).
+    pub late: Vec<HalCommand>,
+    /// The last `HALFILE` line that is the user's.
+    pub last_line: Option<Location>,
+    /// `HALFILE` lines that name a Tcl file.
+    pub tcl: Vec<Value>,
+}
+
+impl HalFiles {
+    /// Reads every HAL file that the INI file names.
+    ///
+    /// # Errors
+    /// A file is missing or cannot be read.
+    pub fn read(ini: &IniLines) -> Result<Self, BadInput> {
+        let mut all = Self::default();
+        let users = |key| ini.values("HAL", key).into_iter().filter(|value| !value.is_ours);
+        for value in users("HALFILE") {
+            all.last_line = Some(value.place.clone());
+            let name = value.text.split_whitespace().next().unwrap_or_default();
+            if name.ends_with(".tcl") {
+                all.tcl.push(value);
+                continue;
+            }
+            let path = find(ini, name).ok_or_else(|| {
+                BadInput::new(
+                    value.place.clone(),
+                    format!("HALFILE = {name}: there is no such file"),
+                )
+                .with_help("LinuxCNC looks next to the INI file and in its library")
+            })?;
+            read_into(&mut all.commands, ini, &path, 0)?;
+        }
+        for value in users("HALCMD") {
+            all.commands.extend(command(ini, &value.text, &value.place));
+        }
+        for value in users("POSTGUI_HALFILE") {
+            let name = value.text.split_whitespace().next().unwrap_or_default();
+            // A screen that is not installed leaves its file away.
+            if let Some(path) = find(ini, name).filter(|_| !name.ends_with(".tcl")) {
+                read_into(&mut all.late, ini, &path, 0)?;
+            }
+        }
+        Ok(all)
+    }
+
+    /// Returns the signal that a pin is on before the screen comes.
+    #[must_use]
+    pub fn link(&self, pin: &str) -> Option<Link> {
+        links(&self.commands).remove(pin)
+    }
+
+    /// Returns the signal that a pin is on, now or after the screen has come.
+    #[must_use]
+    pub fn link_at_last(&self, pin: &str) -> Option<Link> {
+        self.link(pin).or_else(|| links(&self.late).remove(pin))
+    }
+
+    /// Returns the line that names a pin after the screen has come.
+    #[must_use]
+    pub fn late_use(&self, pin: &str) -> Option<Location> {
+        let names = |command: &&HalCommand| command.words.iter().skip(1).any(|word| word == pin);
+        self.late.iter().find(names).map(|command| command.place.clone())
+    }
+
+    /// Returns the first command that loads this realtime module.
+    #[must_use]
+    pub fn loads(&self, module: &str) -> Option<&HalCommand> {
+        let all = self.commands.iter().chain(&self.late);
+        all.into_iter().find(|it| {
+            it.words[0] == "loadrt" && it.words.get(1).is_some_and(|word| word == module)
+        })
+    }
+
+    /// Returns the thread that runs the motion controller and its functions in their order.
+    ///
+    /// # Errors
+    /// No thread runs it, or a position is beyond the functions that are there.
+    pub fn thread(&self) -> Result<(String, Vec<String>), BadThread> {
+        let controller = self.commands.iter().find(|it| {
+            it.words[0] == "addf" && it.words[1..].first().is_some_and(|word| word == CONTROLLER)
+        });
+        let thread = controller.and_then(|it| it.words.get(2)).ok_or(BadThread(None))?.clone();
+        let mut functions: Vec<String> = Vec::new();
+        for command in &self.commands {
+            match &command.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+                ["addf", function, of, rest @ ..] if *of == thread => {
+                    let position = rest.first().map_or(Ok(-1), |it| it.parse::<i32>());
+                    let index = match position {
+                        Ok(from_start @ 1..) => {
+                            usize::try_from(from_start - 1).unwrap_or(usize::MAX)
+                        }
+                        // From the end: -1 is after the last one.
+                        Ok(from_end @ ..=-1) => {
+                            let back = usize::try_from(-(from_end + 1)).unwrap_or(usize::MAX);
+                            functions.len().checked_sub(back).unwrap_or(usize::MAX)
+                        }
+                        _ => usize::MAX,
+                    };
+                    if index > functions.len() {
+                        return Err(BadThread(Some(command.place.clone())));
+                    }
+                    functions.insert(index, (*function).to_owned());
+                }
+                ["delf", function, of] if *of == thread => functions.retain(|it| it != function),
+                _ => {}
+            }
+        }
+        Ok((thread, functions))
+    }
+}
+
+/// The function of LinuxCNC's motion controller.
+pub const CONTROLLER: &str = "motion-controller";
+
+/// A thread whose order is not known: no `addf` of the motion controller, or a bad position, with its line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BadThread(pub Option<Location>);
+
+/// Looks for a HAL file as the script `linuxcnc` does.
+fn find(ini: &IniLines, name: &str) -> Option<PathBuf> {
+    let library =
+        std::env::var_os("HALLIB_DIR").map_or_else(|| PathBuf::from(LIBRARY), PathBuf::from);
+    let places = match name.strip_prefix("LIB:") {
+        Some(name) => vec![library.join(name)],
+        // An absolute path stays as it is.
+        None => vec![ini.folder().join(expand_home(name)), library.join(name)],
+    };
+    places.into_iter().find(|path| is_file(path))
+}
+
+fn read_into(
+    commands: &mut Vec<HalCommand>,
+    ini: &IniLines,
+    path: &std::path::Path,
+    depth: usize,
+) -> Result<(), BadInput> {
+    let text = bounded::read_text(path, MOST_BYTES)?;
+    let mut lines = text.lines().enumerate();
+    while let Some((index, line)) = lines.next() {
+        let mut whole = line.trim_end().to_owned();
+        while whole.ends_with('\\') {
+            whole.pop();
+            let Some((_, next)) = lines.next() else { break };
+            whole.push(' ');
+            whole.push_str(next.trim_end());
+        }
+        let place = Location { file: path.to_path_buf(), line: index + 1, column: 1 };
+        let Some(command) = command(ini, &whole, &place) else { continue };
+        if let ["source", name] = &command.words.iter().map(String::as_str).collect::<Vec<_>>()[..]
+        {
+            let found = find(ini, name).filter(|_| depth < MAX_DEPTH);
+            let found = found.ok_or_else(|| {
+                BadInput::new(place, format!("source {name}: there is no such file"))
+            })?;
+            read_into(commands, ini, &found, depth + 1)?;
+        } else {
+            commands.push(command);
+        }
+    }
+    Ok(())
+}
+
+/// Returns the command of a line; `None` for a comment or an empty line.
+fn command(ini: &IniLines, line: &str, place: &Location) -> Option<HalCommand> {
+    let line = line.split('#').next().unwrap_or_default();
+    let replaced = line.split_whitespace().map(|word| with_values(ini, word));
+    // A value may be several words: `loadrt [KINS]KINEMATICS`.
+    let words: Vec<String> = replaced
+        .flat_map(|word| word.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
+        .collect();
+    (!words.is_empty()).then(|| HalCommand { words, place: place.clone() })
+}
+
+/// Replaces `[SECTION]KEY` and `[SECTION](KEY)` in a word.
+fn with_values(ini: &IniLines, word: &str) -> String {
+    let Some((before, rest)) = word.split_once('[') else { return word.to_owned() };
+    let Some((section, rest)) = rest.split_once(']') else { return word.to_owned() };
+    let (key, after) = match rest.strip_prefix('(').and_then(|rest| rest.split_once(')')) {
+        Some(both) => both,
+        None => {
+            let end = rest
+                .find(|it: char| !it.is_ascii_alphanumeric() && it != '_')
+                .unwrap_or(rest.len());
+            rest.split_at(end)
+        }
+    };
+    match ini.value(section, key) {
+        Some(value) => format!("{before}{}{}", value.text, with_values(ini, after)),
+        None => word.to_owned(),
+    }
+}
+
+/// Returns each pin's signal after these commands.
+fn links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
+    let mut links: BTreeMap<String, Link> = BTreeMap::new();
+    for HalCommand { words, place } in commands {
+        let link = |signal: &str| Link { signal: signal.to_owned(), place: place.clone() };
+        let words: Vec<&str> =
+            words.iter().map(String::as_str).filter(|word| !ARROWS.contains(word)).collect();
+        match &words[..] {
+            ["net", signal, pins @ ..] => {
+                links.extend(pins.iter().map(|pin| ((*pin).to_owned(), link(signal))));
+            }
+            ["linksp", signal, pin] | ["linkps", pin, signal] => {
+                links.insert((*pin).to_owned(), link(signal));
+            }
+            ["linkpp", one, other] => {
+                let signal =
+                    links.get(*one).or_else(|| links.get(*other)).map(|it| it.signal.clone());
+                // The name that `halcmd` gives.
+                let signal = signal.unwrap_or_else(|| (*one).to_owned());
+                links.extend([one, other].map(|pin| ((*pin).to_owned(), link(&signal))));
+            }
+            ["unlinkp", pin] => {
+                links.remove(*pin);
+            }
+            ["delsig", "all"] => links.clear(),
+            ["delsig", signal] => links.retain(|_, it| it.signal != *signal),
+            _ => {}
+        }
+    }
+    links
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A configuration in a folder that lives as long as it.
+    pub(crate) fn configuration(
+        files: &[(&str, &str)],
+    ) -> (tempfile::TempDir, IniLines, Result<HalFiles, BadInput>) {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (name, text) in files {
+            std::fs::write(folder.path().join(name), text).expect("writes");
+        }
+        let ini = IniLines::read(&folder.path().join(files[0].0)).expect("reads");
+        let hal = HalFiles::read(&ini);
+        (folder, ini, hal)
+    }
+
+    #[test]
+    fn signals_follow_every_kind_of_link_and_are_taken_off_again() {
+        let hal = "net a p1 => p2 \\\n  p3 # and more\nlinksp b p4\nlinkps p5 => b\nlinkpp p6 p7\n\
+                   unlinkp p3\nnet a <= p8\ndelsig b\nsource more.hal\n";
+        let (_folder, _, hal) = configuration(&[
+            ("m.ini", "[HAL]\nHALFILE = m.hal\nHALCMD = net c p10\n"),
+            ("m.hal", hal),
+            ("more.hal", "net [W](NAME)-x p9\n"),
+        ]);
+        let hal = hal.expect("reads");
+        let on = |pin: &str| hal.link(pin).map(|it| it.signal);
+        let expected =
+            [("p2", Some("a")), ("p3", None), ("p4", None), ("p7", Some("p6")), ("p8", Some("a"))];
+        for (pin, signal) in expected {
+            assert_eq!(on(pin).as_deref(), signal, "{pin}");
+        }
+        assert_eq!(on("p10").as_deref(), Some("c"));
+        assert_eq!(hal.link("p2").expect("linked").place.line, 1);
+        assert!(on("p9").is_some(), "a sourced file counts");
+    }
+
+    #[test]
+    fn the_order_of_a_thread_is_that_of_halcmd() {
+        let hal = "addf motion-controller servo-thread\naddf late servo-thread\naddf first servo-thread 1\n\
+                   addf other base-thread\naddf before-last servo-thread -2\naddf gone servo-thread\ndelf gone servo-thread\n";
+        let (_folder, _, hal) =
+            configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", hal)]);
+        let (thread, functions) = hal.expect("reads").thread().expect("one");
+        assert_eq!(thread, "servo-thread");
+        assert_eq!(functions, ["first", "motion-controller", "before-last", "late"]);
+        let (_folder, _, hal) = configuration(&[
+            ("m.ini", "[HAL]\nHALFILE = m.hal\n"),
+            ("m.hal", "addf x servo-thread\n"),
+        ]);
+        assert_eq!(hal.expect("reads").thread(), Err(BadThread(None)));
+    }
+
+    #[test]
+    fn a_file_that_is_missing_has_the_place_of_its_line() {
+        let (_folder, _, hal) = configuration(&[("m.ini", "[HAL]\nHALFILE = none.hal\n")]);
+        let error = hal.expect_err("missing");
+        assert_eq!((error.place.line, error.rule.contains("none.hal")), (2, true));
+    }
+}

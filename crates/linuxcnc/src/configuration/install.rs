@@ -1,0 +1,244 @@
+//! Puts offsets into a configuration, and takes them out again.
+//!
+//! Setup adds whole lines between [`BEGIN`] and [`END`] and two HAL files; everything else stays as it is to the byte,
+//! also a last line without an end, and line ends of DOS. So taking them out needs no copy, and edits that were made
+//! meanwhile survive. A copy of each file as it was before the first setup is kept all the same.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+
+use super::{
+    Entry,
+    check::{Report, check},
+    finding::{Demand, Finding},
+    hal_files::HalFiles,
+    ini_lines::{BEGIN, END, IniLines, is_file},
+    installed::{Bridge, SECTION, by_hand},
+    joints::joints,
+    wiring::{self, COMPONENT, REALTIME, WRITTEN},
+};
+use crate::ini::Ini;
+
+/// Added to the name of a file for its copy.
+const BACKUP: &str = ".trueup-backup";
+
+/// A file that changes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Change {
+    /// Its path.
+    pub path: PathBuf,
+    /// Its new text; `None`: it is removed.
+    pub text: Option<String>,
+}
+
+/// Returns the report of the check, and the files that setup changes; none if they are as they should be, or if the
+/// report has an error.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn setup(
+    ini: &IniLines,
+    hal: &HalFiles,
+    demand: &Demand,
+    bridge: &Bridge,
+) -> Result<(Report, Vec<Change>), BadInput> {
+    let mut report = check(ini, hal, demand);
+    if let Some((place, _)) = by_hand(ini, hal) {
+        report.findings.push(Finding::error(
+            place,
+            "the component is connected by hand already",
+            "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
+        ));
+    }
+    for name in [REALTIME, COMPONENT] {
+        let path = ini.folder().join(name);
+        if is_file(&path) && !is_written_by_setup(&path)? {
+            report.findings.push(Finding::error(
+                Location::start_of(&path),
+                "this file was not written by setup, which needs its name",
+                "move or rename it",
+            ));
+        }
+    }
+    if !report.is_usable() {
+        return Ok((report, Vec::new()));
+    }
+    // Usable: both are there.
+    let joints = joints(ini)?;
+    let wiring =
+        wiring::wiring(ini, hal, &joints, demand).map_err(|findings| refusal(ini, &findings))?;
+    let mut blocks = Blocks::default();
+    if let Some(line) = &hal.last_line {
+        let lines = [REALTIME, COMPONENT].map(|name| format!("HALFILE = {name}"));
+        blocks.after(line, lines.to_vec());
+    }
+    if demand.entry == Entry::Eoffset {
+        ratios(ini, demand, &mut blocks)?;
+    }
+    let mut section = vec![format!("[{SECTION}]"), format!("BY = {}", demand.entry.name())];
+    section.push(format!("PORT = {}", bridge.port));
+    section.extend(bridge.machine.iter().map(|machine| format!("MACHINE = {machine}")));
+    section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms));
+    blocks.at_end.insert(ini.path().to_path_buf(), section);
+    let mut changes = blocks.changes(ini)?;
+    for (name, text) in [(REALTIME, wiring.realtime), (COMPONENT, wiring.component)] {
+        let path = ini.folder().join(name);
+        if !is_file(&path) || bounded::read_text(&path, MOST_BYTES)? != text {
+            changes.push(Change { path, text: Some(text) });
+        }
+    }
+    Ok((report, changes))
+}
+
+/// Returns the files that change when setup's lines are taken out.
+///
+/// # Errors
+/// A file cannot be read.
+pub fn remove(ini: &IniLines) -> Result<Vec<Change>, BadInput> {
+    let mut changes = Blocks::default().changes(ini)?;
+    for name in [REALTIME, COMPONENT] {
+        let path = ini.folder().join(name);
+        if is_file(&path) && is_written_by_setup(&path)? {
+            changes.push(Change { path, text: None });
+        }
+    }
+    Ok(changes)
+}
+
+fn refusal(ini: &IniLines, findings: &[Finding]) -> BadInput {
+    let first = findings.first().cloned();
+    let first = first.map(|it| BadInput::new(it.place, it.what).with_help(it.help));
+    first.unwrap_or_else(|| BadInput::new(Location::start_of(ini.path()), "it cannot be set up"))
+}
+
+fn is_written_by_setup(path: &Path) -> Result<bool, BadInput> {
+    Ok(bounded::read_text(path, MOST_BYTES)?.lines().next() == Some(WRITTEN))
+}
+
+/// `OFFSET_AV_RATIO` of each axis that states none.
+fn ratios(ini: &IniLines, demand: &Demand, blocks: &mut Blocks) -> Result<(), BadInput> {
+    let base = Ini::parse(&ini.text()).map_err(|error| {
+        BadInput::new(ini.place_of_line(error.place.0, error.place.1), error.rule)
+    })?;
+    let joints = joints(ini)?;
+    for (axis, motion) in base.axes.iter().enumerate() {
+        let section = format!("AXIS_{}", ["X", "Y", "Z"][axis]);
+        let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|value| !value.is_ours);
+        let header = ini.header_of(&section);
+        let is_there = joints.iter().any(|joint| joint.axis == axis);
+        if let (true, false, Some(header)) = (is_there, stated, header)
+            && let Some(ratio) = wiring::ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
+        {
+            blocks.after(&header, vec![format!("OFFSET_AV_RATIO = {ratio:.6}")]);
+        }
+    }
+    Ok(())
+}
+
+/// Lines to be added to files.
+#[derive(Debug, Default)]
+struct Blocks {
+    after: BTreeMap<PathBuf, BTreeMap<usize, Vec<String>>>,
+    at_end: BTreeMap<PathBuf, Vec<String>>,
+}
+
+impl Blocks {
+    fn after(&mut self, place: &Location, lines: Vec<String>) {
+        self.after.entry(place.file.clone()).or_default().insert(place.line, lines);
+    }
+
+    /// The files that change: what setup had added goes, and these blocks come.
+    fn changes(&self, ini: &IniLines) -> Result<Vec<Change>, BadInput> {
+        let mut changes = Vec::new();
+        for path in ini.files() {
+            let before = bounded::read_text(&path, MOST_BYTES)?;
+            let none = BTreeMap::new();
+            let after = self.after.get(&path).unwrap_or(&none);
+            let text = with_blocks(&before, after, self.at_end.get(&path));
+            if text == before {
+                continue;
+            }
+            let mut copy = path.clone().into_os_string();
+            copy.push(BACKUP);
+            if !before.contains(BEGIN) {
+                changes.push(Change { path: copy.into(), text: Some(before) });
+            }
+            changes.push(Change { path, text: Some(text) });
+        }
+        Ok(changes)
+    }
+}
+
+/// Returns the text without what setup had added and with these blocks after the lines with these numbers.
+fn with_blocks(
+    text: &str,
+    after: &BTreeMap<usize, Vec<String>>,
+    at_end: Option<&Vec<String>>,
+) -> String {
+    let end_of_line = if text.contains("\r\n") { "\r\n" } else { "\n" };
+    let mut new = String::with_capacity(text.len());
+    let block = |new: &mut String, lines: &[String]| {
+        let all = std::iter::once(BEGIN).chain(lines.iter().map(String::as_str)).chain([END]);
+        all.for_each(|line| new.extend([line, end_of_line]));
+    };
+    let mut is_ours = false;
+    for (index, line) in text.split_inclusive('\n').enumerate() {
+        is_ours |= line.trim_end() == BEGIN;
+        if !is_ours {
+            new.push_str(line);
+            if !line.ends_with('\n') {
+                new.push_str(end_of_line);
+            }
+            if let Some(lines) = after.get(&(index + 1)) {
+                block(&mut new, lines);
+            }
+        }
+        is_ours &= line.trim_end() != END;
+    }
+    if let Some(lines) = at_end {
+        block(&mut new, lines);
+    }
+    if !text.ends_with('\n') && new.ends_with(end_of_line) {
+        new.truncate(new.len() - end_of_line.len());
+    }
+    new
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(lines: &[&str]) -> Vec<String> {
+        lines.iter().map(|line| (*line).to_owned()).collect()
+    }
+
+    #[test]
+    fn a_text_is_the_same_to_the_byte_when_its_blocks_are_gone() {
+        for text in [
+            "[A]\nX = 1\n[B]\n",
+            "[A]\nX = 1",
+            "[A]\r\nX = 1\r\n\r\n[B]",
+            "[A]\n\n\n",
+            "a\n  [HAL] \nX=\t1\n\n",
+        ] {
+            let after: BTreeMap<usize, Vec<String>> =
+                [(1, block(&["one", "two"])), (2, block(&["three"]))].into();
+            let end = block(&["[END]"]);
+            let with = with_blocks(text, &after, Some(&end));
+            assert!(with.contains("two") && with.contains("[END]"), "{with}");
+            assert_eq!(with_blocks(&with, &BTreeMap::new(), None), text);
+            assert_eq!(with.ends_with('\n'), text.ends_with('\n'));
+        }
+    }
+
+    #[test]
+    fn edits_beside_the_blocks_survive() {
+        let with = with_blocks("[A]\nX = 1\n", &[(2, block(&["ours"]))].into(), None);
+        let edited = format!("# new\n{with}Y = 2\n");
+        assert_eq!(with_blocks(&edited, &BTreeMap::new(), None), "# new\n[A]\nX = 1\nY = 2\n");
+    }
+}

@@ -1,0 +1,45 @@
+//! A user's LinuxCNC configuration: what is in it, what stands in the way of offsets, and how they are added.
+//!
+//! ```text
+//!  INI + #INCLUDE ─► ini_lines ─┬─► joints ──┐
+//!  HALFILE, source ─► hal_files ┴────────────┴─► check ─► wiring ─► install
+//! ```
+//!
+//! [`ini_lines`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
+//! [`wiring`] writes HAL files, [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
+
+pub mod check;
+pub mod finding;
+pub mod hal_files;
+pub mod ini_lines;
+pub mod install;
+pub mod installed;
+pub mod joints;
+pub mod wiring;
+
+/// Where offsets enter LinuxCNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Entry {
+    /// As an external offset of the axis: LinuxCNC's planner knows it and pays for it.
+    #[default]
+    Eoffset,
+    /// Between the joint's motor command and the drive: the planner does not see it.
+    Joint,
+}
+
+impl Entry {
+    /// Returns the word of command lines and INI files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Eoffset => "eoffset",
+            Self::Joint => "joint",
+        }
+    }
+
+    /// Returns the entry with this name.
+    #[must_use]
+    pub fn parse(name: &str) -> Option<Self> {
+        [Self::Eoffset, Self::Joint].into_iter().find(|entry| entry.name() == name)
+    }
+}

@@ -1,0 +1,436 @@
+//! The HAL files that bring offsets into a configuration.
+//!
+//! At the joint, `moveoff` limits value, speed and acceleration of the offset, and `offset` adds it to the command and
+//! takes it off the feedback:
+//!
+//! ```text
+//!  joint.N.motor-pos-cmd ─► offset.in ──► offset.out ─► (the user's signal) ─► drive
+//!                    component ─► moveoff ─► offset.offset
+//!  joint.N.motor-pos-fb ◄─ offset.fb-out ◄─ offset.fb-in ◄─ (the user's signal) ◄─ drive
+//! ```
+//!
+//! `moveoff` could do all of it, but its feedback is a servo cycle late: the following error would grow by the way of a
+//! cycle, and a home switch or an index would be off by it. `offset` has a function for the feedback of its own, which
+//! runs between the drive's reading and the motion controller.
+//!
+//! | caution of `moveoff` | what is done |
+//! |---|---|
+//! | soft limits are not honoured | the component keeps command + offset within the joint's limits |
+//! | offsets vanish in a step when `power-on` falls | `power-on` is always true; the component holds the offset |
+//! | waypoints fill up, and then offsets freeze | sampled every 10⁹ s: there are none |
+//! | return to zero is not coordinated | the enabling pins stay true; the component takes offsets back by the limits |
+//! | one set of variables for all instances | a second `moveoff` is refused |
+
+use std::fmt::Write as _;
+
+use super::{
+    Entry,
+    finding::{Demand, Finding},
+    hal_files::{BadThread, CONTROLLER, HalFiles},
+    ini_lines::IniLines,
+    joints::Joint,
+};
+
+/// The HAL file that is loaded once.
+pub const REALTIME: &str = "trueup_realtime.hal";
+/// The HAL file that may be loaded again when the component has ended.
+pub const COMPONENT: &str = "trueup.hal";
+/// First line of both.
+pub const WRITTEN: &str =
+    "# Written by trueup linuxcnc setup; --remove takes it out. Changes are lost.";
+const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
+const LOWER: [&str; 3] = ["x", "y", "z"];
+/// The instance of `moveoff`; its channels are the joints of X, Y and Z in the order of their numbers.
+pub const LIMITER: &str = "trueup-mv";
+const ALIVE: &str = "trueup-alive";
+const MESSAGES: [(&str, &str, &str, bool); 4] = [
+    (
+        "trueup-no-offsets",
+        "trueup-fault",
+        "trueup: no offsets (bridge silent or its inputs failed)",
+        true,
+    ),
+    (
+        "trueup-not-followed",
+        "trueup-limited",
+        "trueup: an axis cannot follow its offset (soft limit or joint mode)",
+        true,
+    ),
+    (
+        "trueup-other-cal",
+        "trueup-other",
+        "trueup: nothing is engaged because the bridge runs on another calibration (trueup.log)",
+        true,
+    ),
+    (
+        "trueup-gone",
+        "trueup-lives",
+        "trueup: the feed is held because the component has stopped or a wire of it is cut (trueup.log)",
+        false,
+    ),
+];
+
+/// The text of the two HAL files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wiring {
+    /// Text of [`REALTIME`].
+    pub realtime: String,
+    /// Text of [`COMPONENT`].
+    pub component: String,
+}
+
+/// Returns the `OFFSET_AV_RATIO` that lets an offset change by the slew limit and no faster.
+#[must_use]
+pub fn ratio(velocity_mm_per_s: Option<f64>, slew_um_per_s: f64) -> Option<f64> {
+    let velocity = velocity_mm_per_s.filter(|velocity| *velocity > 0.0)?;
+    let exact = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
+    // Down, so that LinuxCNC keeps the limit, but not to 0, which moves nothing.
+    Some(((exact * 1e6).floor() / 1e6).clamp(1e-6, 0.9))
+}
+
+/// Writes the HAL files.
+///
+/// # Errors
+/// Something is in the way, each with its place.
+pub fn wiring(
+    ini: &IniLines,
+    hal: &HalFiles,
+    joints: &[Joint],
+    demand: &Demand,
+) -> Result<Wiring, Vec<Finding>> {
+    let mut writer = Writer { ini, hal, findings: Vec::new() };
+    let realtime = writer.realtime(joints, demand.entry);
+    let component = writer.component(joints, demand);
+    if writer.findings.is_empty() {
+        Ok(Wiring { realtime, component })
+    } else {
+        Err(writer.findings)
+    }
+}
+
+/// Returns the lines for a configuration that setup cannot change; `SIGNAL-OF-…` stands for a signal that only the
+/// user knows.
+#[must_use]
+pub fn by_hand(ini: &IniLines, hal: &HalFiles, joints: &[Joint], demand: &Demand) -> String {
+    // What would be refused is in the user's hands.
+    let mut writer = Writer { ini, hal, findings: Vec::new() };
+    let realtime = writer.realtime(joints, demand.entry);
+    let component = writer.component(joints, demand);
+    let machine = match demand.corrects_screw {
+        Some(_) => "MACHINE = machine.toml\n",
+        None => "",
+    };
+    format!(
+        "# In the INI file, after your own HALFILE lines:\n[HAL]\nHALFILE = {REALTIME}\nHALFILE = {COMPONENT}\n\
+         [TRUEUP]\nPORT = /dev/ttyUSB0\n{machine}POSITION_PERIOD_MS = 2\n\n\
+         # {REALTIME}; compare the positions of addf with `halcmd show thread`:\n{}\n# {COMPONENT}:\n{}",
+        realtime.trim_start_matches(WRITTEN),
+        component.trim_start_matches(WRITTEN)
+    )
+}
+
+struct Writer<'a> {
+    ini: &'a IniLines,
+    hal: &'a HalFiles,
+    findings: Vec<Finding>,
+}
+
+impl Writer<'_> {
+    fn realtime(&mut self, joints: &[Joint], entry: Entry) -> String {
+        let mut text = format!("{WRITTEN}\n# Loaded once, after the machine's own files.\n");
+        let (thread, functions) = self.hal.thread().unwrap_or_else(|BadThread(place)| {
+            let place = place.unwrap_or_else(|| self.ini.place_of_section("HAL"));
+            self.findings.push(Finding::error(
+                place,
+                "the servo thread cannot be followed: no `addf motion-controller THREAD`, or a position beyond its functions",
+                "connect the offsets by hand (integrations/linuxcnc/README.md)",
+            ));
+            ("servo-thread".into(), vec!["motion-command-handler".into(), CONTROLLER.into()])
+        });
+        if entry == Entry::Joint {
+            self.at_joints(&mut text, joints, &thread, &functions);
+        }
+        self.watchdog(&mut text, &thread);
+        self.messages(&mut text, &thread);
+        text
+    }
+
+    /// The limiter, and what adds the offset and takes it off.
+    fn at_joints(
+        &mut self,
+        text: &mut String,
+        joints: &[Joint],
+        thread: &str,
+        functions: &[String],
+    ) {
+        if let Some(loaded) = self.hal.loads("moveoff") {
+            self.findings.push(Finding::error(
+                loaded.place.clone(),
+                "moveoff is loaded here, and two of it share their variables",
+                "take it out, or enter offsets by eoffset (--by eoffset)",
+            ));
+        }
+        let names: Vec<String> =
+            joints.iter().map(|joint| format!("trueup-j{}", joint.number)).collect();
+        let _ = writeln!(text, "\nloadrt moveoff names={LIMITER} personality={}", joints.len());
+        self.load(text, "offset", &names);
+        // The feedback just before the motion controller, the command just after it.
+        let controller = functions.iter().position(|it| it == CONTROLLER).unwrap_or_default() + 1;
+        let mut position = controller;
+        let mut add = |function: String| {
+            let _ = writeln!(text, "addf {function} {thread} {position}");
+            position += 1;
+        };
+        names.iter().for_each(|name| add(format!("{name}.update-feedback")));
+        // Over the motion controller.
+        position += 1;
+        let mut add = |function: String| {
+            let _ = writeln!(text, "addf {function} {thread} {position}");
+            position += 1;
+        };
+        for function in ["read-inputs", "write-outputs"] {
+            add(format!("{LIMITER}.{function}"));
+        }
+        names.iter().for_each(|name| add(format!("{name}.update-output")));
+        text.push_str("\n# Always enabled: an offset is held when the machine goes off, and taken back by the component.\n");
+        for (pin, value) in [
+            ("power-on", "1"),
+            ("move-enable", "1"),
+            ("apply-offsets", "1"),
+            ("backtrack-enable", "0"),
+            ("waypoint-sample-secs", "1e9"),
+            ("waypoint-threshold", "1e9"),
+            ("epsilon", "0.0001"),
+        ] {
+            let _ = writeln!(text, "setp {LIMITER}.{pin} {value}");
+        }
+        for (channel, (joint, name)) in joints.iter().zip(&names).enumerate() {
+            let number = joint.number;
+            let [command, feedback] = ["cmd", "fb"].map(|end| self.signal_of_joint(joint, end));
+            let _ = write!(
+                text,
+                "\n# Joint {number}: {command} and {feedback} are the drive's from here on.\n\
+                 unlinkp joint.{number}.motor-pos-cmd\n\
+                 unlinkp joint.{number}.motor-pos-fb\n\
+                 net {name}-cmd joint.{number}.motor-pos-cmd => {name}.in\n\
+                 net {name}-fb {name}.fb-out => joint.{number}.motor-pos-fb\n\
+                 net {name}-now {LIMITER}.offset-current-{channel} => {name}.offset\n\
+                 net {command} {name}.out\n\
+                 net {feedback} => {name}.fb-in\n"
+            );
+        }
+    }
+
+    /// The signal on the command or the feedback of a joint.
+    fn signal_of_joint(&mut self, joint: &Joint, end: &str) -> String {
+        let pin = format!("joint.{}.motor-pos-{end}", joint.number);
+        if let Some(place) = self.hal.late_use(&pin) {
+            self.findings.push(Finding::error(
+                place,
+                format!("{pin} is connected after the screen has come, and belongs to the offset by then"),
+                "connect it in a HALFILE",
+            ));
+        }
+        let link = self.hal.link(&pin);
+        if link.is_none() {
+            self.findings.push(Finding::error(
+                self.ini.place_of_section(&joint.section()),
+                format!("{pin} is on no signal of the HAL files"),
+                format!("connect it: net SIGNAL {pin}"),
+            ));
+        }
+        link.map_or_else(|| format!("SIGNAL-OF-{pin}"), |it| it.signal)
+    }
+
+    /// Loads a module with these instances, unless the user's own line names them already.
+    fn load(&mut self, text: &mut String, module: &str, names: &[String]) {
+        let Some(loaded) = self.hal.loads(module) else {
+            let _ = writeln!(text, "loadrt {module} names={}", names.join(","));
+            return;
+        };
+        let there: Vec<&str> = loaded
+            .words
+            .iter()
+            .find_map(|word| word.strip_prefix("names="))
+            .unwrap_or_default()
+            .split(',')
+            .collect();
+        if !names.iter().all(|name| there.contains(&name.as_str())) {
+            self.findings.push(Finding::error(
+                loaded.place.clone(),
+                format!("{module} is loaded here, and LinuxCNC loads a module once"),
+                format!(
+                    "add {} to this line, with names= for the others too (count=N makes {module}.0, {module}.1, …)",
+                    names.join(",")
+                ),
+            ));
+        }
+    }
+
+    /// Holds the feed while the component is gone.
+    fn watchdog(&mut self, text: &mut String, thread: &str) {
+        text.push_str("\n# Holds the feed while the component is gone.\n");
+        self.load(text, "oneshot", &[ALIVE.into()]);
+        let _ = writeln!(text, "addf {ALIVE} {thread}");
+        for (pin, value) in
+            [("width", "0.3"), ("rising", "TRUE"), ("falling", "TRUE"), ("retriggerable", "TRUE")]
+        {
+            let _ = writeln!(text, "setp {ALIVE}.{pin} {value}");
+        }
+        if let Some(link) = self.hal.link_at_last("motion.feed-inhibit") {
+            self.findings.push(Finding::error(
+                link.place,
+                format!("motion.feed-inhibit is on the signal {} already", link.signal),
+                format!(
+                    "take it off, or join both by or2: setup needs the pin for {ALIVE}.out-not"
+                ),
+            ));
+        }
+        let _ = writeln!(text, "net trueup-hold {ALIVE}.out-not => motion.feed-inhibit");
+    }
+
+    /// Tells the operator, on whatever screen there is. A module that the user has loaded is left to the user.
+    fn messages(&self, text: &mut String, thread: &str) {
+        if self.hal.loads("message").is_some() {
+            return;
+        }
+        let list = |of: fn(&(&'static str, &'static str, &'static str, bool)) -> &'static str| {
+            MESSAGES.iter().map(of).collect::<Vec<_>>().join(",")
+        };
+        let _ = writeln!(
+            text,
+            "\nloadrt message names={} messages=\"{}\"",
+            list(|it| it.0),
+            list(|it| it.2)
+        );
+        for (name, signal, _, edge) in MESSAGES {
+            let edge = if edge { "TRUE" } else { "FALSE" };
+            let _ = write!(
+                text,
+                "addf {name} {thread}\nsetp {name}.edge {edge}\nnet {signal} => {name}.trigger\n"
+            );
+        }
+        let _ = writeln!(text, "net trueup-lives {ALIVE}.out");
+    }
+
+    /// The component and its wires.
+    fn component(&mut self, joints: &[Joint], demand: &Demand) -> String {
+        let entry = demand.entry;
+        let machine = match demand.corrects_screw {
+            Some(_) => " --machine [TRUEUP](MACHINE) --record trueup_record.csv",
+            None => "",
+        };
+        let mut text = format!(
+            "{WRITTEN}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT}\n\n\
+             loadusr -W trueup linuxcnc --by {} --port [TRUEUP](PORT) --position-period-ms [TRUEUP](POSITION_PERIOD_MS){machine} --log trueup.log\n\n",
+            entry.name()
+        );
+        self.from(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
+        self.from(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
+        self.from(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
+        let axes: Vec<&str> = (0..LOWER.len())
+            .filter(|axis| joints.iter().any(|joint| joint.axis == *axis))
+            .map(|axis| LOWER[axis])
+            .collect();
+        for axis in &axes {
+            let signal = format!("trueup-{axis}-cmd");
+            self.from(
+                &mut text,
+                &format!("axis.{axis}.pos-cmd"),
+                &signal,
+                &[format!("{axis}-cmd")],
+            );
+        }
+        match entry {
+            Entry::Joint => joints
+                .iter()
+                .enumerate()
+                .for_each(|(channel, joint)| self.joint_wires(&mut text, channel, joint)),
+            Entry::Eoffset => self.eoffset_wires(&mut text, &axes),
+        }
+        let _ = write!(
+            text,
+            "\nnet trueup-heartbeat trueup.0.heartbeat => {ALIVE}.in\nsetp trueup.0.enable 1\n\n"
+        );
+        for (signal, pin) in [
+            ("applied", "applied"),
+            ("connected", "connected"),
+            ("fault", "fault"),
+            ("limited", "limited"),
+            ("other", "other-calibration"),
+            ("quality", "quality"),
+        ] {
+            let _ = writeln!(text, "net trueup-{signal} trueup.0.{pin}");
+        }
+        text
+    }
+
+    fn joint_wires(&mut self, text: &mut String, channel: usize, joint: &Joint) {
+        let n = joint.number;
+        for (pin, of_limiter) in [
+            ("offset", "offset-in"),
+            ("min", "offset-min"),
+            ("max", "offset-max"),
+            ("vel", "offset-vel"),
+            ("accel", "offset-accel"),
+        ] {
+            let _ = writeln!(
+                text,
+                "net trueup-j{n}-{pin} trueup.0.joint-{n}-{pin} => {LIMITER}.{of_limiter}-{channel}"
+            );
+        }
+        let _ = writeln!(text, "net trueup-j{n}-now => trueup.0.joint-{n}-now");
+        for (pin, ours) in [("motor-offset", "reference"), ("homing", "homing"), ("pos-cmd", "cmd")]
+        {
+            let signal = format!("trueup-j{n}-{ours}-in");
+            self.from(text, &format!("joint.{n}.{pin}"), &signal, &[format!("joint-{n}-{ours}")]);
+        }
+    }
+
+    fn eoffset_wires(&mut self, text: &mut String, axes: &[&str]) {
+        for axis in axes {
+            for pin in ["scale", "enable", "counts"] {
+                let pin = format!("axis.{axis}.eoffset-{pin}");
+                if let Some(link) = self.hal.link_at_last(&pin) {
+                    self.findings.push(Finding::error(
+                        link.place,
+                        format!("{pin} is on the signal {} already", link.signal),
+                        "take your own external offset out, or enter offsets at the joint (--by joint)",
+                    ));
+                }
+            }
+            self.from(
+                text,
+                &format!("axis.{axis}.eoffset-request"),
+                &format!("trueup-{axis}-req"),
+                &[format!("{axis}-request")],
+            );
+            self.from(
+                text,
+                &format!("axis.{axis}.eoffset"),
+                &format!("trueup-{axis}-eoff"),
+                &[format!("{axis}-eoffset")],
+            );
+        }
+        let all = |pin: &str| {
+            axes.iter().map(|axis| format!(" axis.{axis}.eoffset-{pin}")).collect::<String>()
+        };
+        // The scale first: a count without one would be a step of its own.
+        let _ = writeln!(text, "net trueup-scale trueup.0.scale =>{}", all("scale"));
+        let _ = writeln!(text, "net trueup-eoff-on trueup.0.enable-out =>{}", all("enable"));
+        for axis in axes {
+            let _ = writeln!(
+                text,
+                "net trueup-{axis} trueup.0.{axis}-counts => axis.{axis}.eoffset-counts"
+            );
+        }
+    }
+
+    /// Connects a pin of LinuxCNC to pins of the component, by the user's signal where there is one.
+    fn from(&self, text: &mut String, pin: &str, signal: &str, to: &[String]) {
+        let link = self.hal.link_at_last(pin);
+        let signal = link.as_ref().map_or(signal, |it| it.signal.as_str());
+        let to: Vec<String> = to.iter().map(|pin| format!("trueup.0.{pin}")).collect();
+        let _ = writeln!(text, "net {signal} {pin} => {}", to.join(" "));
+    }
+}

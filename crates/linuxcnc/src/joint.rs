@@ -1,0 +1,267 @@
+//! Offsets between the joints and their drives: what `moveoff` is to do, whatever LinuxCNC does meanwhile.
+//!
+//! `moveoff` limits speed and acceleration in the servo thread, so that its input may step. What is decided here is the
+//! goal of each joint:
+//!
+//! | LinuxCNC | the offset of a joint |
+//! |---|---|
+//! | on, all joints homed | base + offset of the axis, command + offset within the joint's limits |
+//! | off, emergency stop, drive fault, homing, not homed | held: the drive stands, and the planner follows its feedback |
+//! | a joint is homed again while an offset acts | held, and from then on the base, see below |
+//!
+//! A home switch is found with the offset that acts, and LinuxCNC's new reference (`joint.N.motor-offset`) contains it:
+//! to find the same places as before, it has to stay, and new offsets are added to it. So the base is the offset that
+//! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never further
+//! from the planner's machine than the offset of the axis; both are counted without the base.
+
+/// `moveoff` has so many joints.
+pub const MAX_JOINTS: usize = 9;
+/// An offset is applied when it is within this of its goal, in nanometres.
+const APPLIED_WITHIN_NM: f64 = 20.0;
+/// `motor-offset` has changed if it differs by this, in nanometres.
+const SAME_NM: f64 = 1e-3;
+
+/// Settings of a joint that gets an offset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointSettings {
+    /// LinuxCNC's number.
+    pub number: usize,
+    /// Index of its axis: X, Y, Z.
+    pub axis: usize,
+    /// Least and largest position of the drive, in nanometres; infinite where none is stated.
+    pub limits_nm: [f64; 2],
+    /// Fastest change of the offset, in mm/s.
+    pub mm_per_s: f64,
+    /// Acceleration of the offset, in mm/s².
+    pub mm_per_s2: f64,
+}
+
+/// What LinuxCNC's pins say of a joint.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointReading {
+    /// The offset that acts, in nanometres: `moveoff.offset-current`.
+    pub now_nm: f64,
+    /// Commanded position, in nanometres: `joint.N.pos-cmd`.
+    pub command_nm: f64,
+    /// LinuxCNC's reference, in nanometres: `joint.N.motor-offset`.
+    pub reference_nm: f64,
+    /// True while the joint is homed.
+    pub homing: bool,
+}
+
+/// What `moveoff` is to do with a joint, in nanometres.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct JointGoal {
+    /// Goal of the offset.
+    pub offset_nm: f64,
+    /// The offset may be from here …
+    pub min_nm: f64,
+    /// … to here.
+    pub max_nm: f64,
+}
+
+/// What acts on the axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Applied {
+    /// Offset of X, Y and Z without the bases, in nanometres; of an axis with two joints the larger one.
+    pub nm: [f64; 3],
+    /// True if no offset acts.
+    pub at_zero: bool,
+    /// True if every joint is at its goal and no joint stands back.
+    pub arrived: bool,
+    /// True if a joint stands back from its limit.
+    pub limited: bool,
+}
+
+/// A joint between two steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct State {
+    base_nm: f64,
+    offset_nm: f64,
+    /// `motor-offset` at the step before; `None` before the first one.
+    reference_nm: Option<f64>,
+}
+
+/// The offsets of all joints.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct JointOffsets {
+    states: [State; MAX_JOINTS],
+}
+
+/// What a step starts from.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// The machine is on and all joints are homed.
+    pub ready: bool,
+    /// Offsets of X, Y and Z, in nanometres; `None`: as before.
+    pub goal_nm: Option<[i32; 3]>,
+    /// Largest offset of X, Y and Z, in nanometres.
+    pub max_nm: [i32; 3],
+}
+
+impl JointOffsets {
+    /// Goes on from what a component before this one has left at the pins of `moveoff`.
+    pub fn resume(&mut self, joint: usize, left: JointGoal, reference_nm: Option<f64>) {
+        let base_nm = f64::midpoint(left.min_nm, left.max_nm);
+        self.states[joint] = State { base_nm, offset_nm: left.offset_nm, reference_nm };
+    }
+
+    /// Computes the goal of each joint.
+    pub fn step(
+        &mut self,
+        step: &Step,
+        joints: &[Option<JointSettings>; MAX_JOINTS],
+        readings: &[JointReading; MAX_JOINTS],
+    ) -> ([JointGoal; MAX_JOINTS], Applied) {
+        let mut goals = [JointGoal::default(); MAX_JOINTS];
+        let mut applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
+        for (index, (joint, reading)) in joints.iter().zip(readings).enumerate() {
+            let Some(joint) = joint else { continue };
+            let state = &mut self.states[index];
+            state.follow_reference(reading);
+            if let (true, false, Some(goal)) = (step.ready, reading.homing, step.goal_nm) {
+                let goal = f64::from(goal[joint.axis]);
+                let allowed = within_limits(goal, joint, reading);
+                applied.limited |= (allowed - goal).abs() > APPLIED_WITHIN_NM;
+                state.offset_nm = state.base_nm + allowed;
+            }
+            let max = f64::from(step.max_nm[joint.axis].max(0));
+            goals[index] = JointGoal {
+                offset_nm: state.offset_nm,
+                min_nm: state.base_nm - max,
+                max_nm: state.base_nm + max,
+            };
+            let acts = reading.now_nm - state.base_nm;
+            if acts.abs() > applied.nm[joint.axis].abs() {
+                applied.nm[joint.axis] = acts;
+            }
+            applied.at_zero &= acts.abs() <= APPLIED_WITHIN_NM;
+            applied.arrived &= (reading.now_nm - state.offset_nm).abs() <= APPLIED_WITHIN_NM;
+        }
+        applied.arrived &= !applied.limited;
+        (goals, applied)
+    }
+}
+
+impl State {
+    /// Takes the offset that acts as the base when LinuxCNC has taken a new reference with it.
+    fn follow_reference(&mut self, reading: &JointReading) {
+        if !reading.reference_nm.is_finite() || !reading.now_nm.is_finite() {
+            return;
+        }
+        let before = self.reference_nm.replace(reading.reference_nm);
+        if before.is_some_and(|before| (before - reading.reference_nm).abs() > SAME_NM) {
+            self.base_nm = reading.now_nm;
+            self.offset_nm = reading.now_nm;
+        }
+    }
+}
+
+/// Returns the offset with which the drive stays within the joint's limits; a command beyond them is LinuxCNC's affair.
+fn within_limits(goal_nm: f64, joint: &JointSettings, reading: &JointReading) -> f64 {
+    if !reading.command_nm.is_finite() {
+        return goal_nm;
+    }
+    let [low, high] = joint.limits_nm.map(|limit| limit - reading.command_nm);
+    goal_nm.clamp(low.min(0.0), high.max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const JOINT: JointSettings = JointSettings {
+        number: 0,
+        axis: 2,
+        limits_nm: [-50e6, 50e6],
+        mm_per_s: 1.2,
+        mm_per_s2: 200.0,
+    };
+
+    /// A joint whose `moveoff` is at its goal at once.
+    struct World {
+        offsets: JointOffsets,
+        reading: JointReading,
+        applied: Applied,
+        goal: JointGoal,
+    }
+
+    impl World {
+        fn new() -> Self {
+            let applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
+            let (offsets, goal) = (JointOffsets::default(), JointGoal::default());
+            Self { offsets, reading: JointReading::default(), applied, goal }
+        }
+
+        fn step(&mut self, ready: bool, z_nm: Option<i32>) -> f64 {
+            let (mut joints, mut readings) =
+                ([None; MAX_JOINTS], [JointReading::default(); MAX_JOINTS]);
+            (joints[3], readings[3]) = (Some(JOINT), self.reading);
+            let step = Step { ready, goal_nm: z_nm.map(|z| [7, 8, z]), max_nm: [0, 0, 100_000] };
+            let (goals, applied) = self.offsets.step(&step, &joints, &readings);
+            (self.goal, self.applied) = (goals[3], applied);
+            self.reading.now_nm = goals[3].offset_nm;
+            goals[3].offset_nm
+        }
+    }
+
+    #[test]
+    fn an_offset_is_held_while_the_machine_is_off_or_the_bridge_silent() {
+        let mut world = World::new();
+        assert_eq!(world.step(true, Some(40_000)), 40_000.0);
+        assert_eq!(world.step(true, Some(40_000)), 40_000.0);
+        assert!(world.applied.arrived && world.applied.nm == [0.0, 0.0, 40_000.0]);
+        assert_eq!(world.step(false, Some(0)), 40_000.0);
+        assert_eq!(world.step(true, None), 40_000.0);
+        world.reading.homing = true;
+        assert_eq!(world.step(true, Some(0)), 40_000.0);
+        world.reading.homing = false;
+        assert_eq!(world.step(true, Some(-1_000)), -1_000.0);
+    }
+
+    #[test]
+    fn the_offset_that_acted_at_homing_stays_under_those_that_follow() {
+        let mut world = World::new();
+        world.step(true, Some(40_000));
+        world.step(true, Some(40_000));
+        // The switch is found 40 um later by the feedback without the offset.
+        world.reading.reference_nm -= 40_000.0;
+        world.step(false, Some(40_000));
+        assert!(world.applied.at_zero, "counted from the new reference nothing acts");
+        assert_eq!(world.step(true, Some(40_000)), 80_000.0);
+        assert_eq!((world.goal.min_nm, world.goal.max_nm), (-60_000.0, 140_000.0));
+        world.step(true, Some(40_000));
+        assert_eq!(world.applied.nm[2], 40_000.0);
+        // The drive is where it was at the first homing: base + reference are the same.
+        assert_eq!(world.goal.offset_nm + world.reading.reference_nm, 40_000.0);
+    }
+
+    #[test]
+    fn the_drive_stays_within_the_joints_limits() {
+        let mut world = World::new();
+        for (command_nm, goal, allowed) in [
+            (49_990e3, 40_000, 10_000.0),
+            (-50e6, -40_000, 0.0),
+            (-50e6, 40_000, 40_000.0),
+            // Beyond the limit already: LinuxCNC has to bring it back, and no offset hurries it.
+            (50_001e3, 40_000, 0.0),
+            (50_001e3, -40_000, -40_000.0),
+        ] {
+            world.reading.command_nm = command_nm;
+            assert_eq!(world.step(true, Some(goal)), allowed, "{command_nm}");
+            assert_eq!(world.applied.limited, allowed != f64::from(goal));
+        }
+    }
+
+    #[test]
+    fn a_component_that_starts_again_goes_on_where_moveoff_stands() {
+        let mut world = World::new();
+        let left = JointGoal { offset_nm: 80_000.0, min_nm: -60_000.0, max_nm: 140_000.0 };
+        world.offsets.resume(3, left, None);
+        world.reading =
+            JointReading { now_nm: 80_000.0, reference_nm: -5e6, ..JointReading::default() };
+        assert_eq!(world.step(true, None), 80_000.0);
+        assert_eq!(world.applied.nm[2], 40_000.0);
+        assert_eq!(world.step(true, Some(0)), 40_000.0);
+    }
+}

@@ -1,0 +1,453 @@
+//! Offsets at the joint in the real LinuxCNC: a configuration as its own simulators have it, checked and set up by
+//! `trueup linuxcnc`, every servo cycle recorded while things happen to it.
+//!
+//! The bridge is a program of the test, so that offsets jump when the test wants it.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
+
+mod fake_bridge;
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader},
+    path::Path,
+    process::{Command, Stdio},
+    sync::mpsc::{self, Receiver},
+    thread,
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::json;
+use trueup_emulator::{
+    linuxcnc::headless::{DISPLAY, Headless, Sampler},
+    programs, setup,
+};
+
+use self::fake_bridge::FakeBridge;
+
+const MAX_VELOCITY: f64 = 30.0;
+const MAX_ACCELERATION: f64 = 1_000.0;
+/// The share of acceleration that is assumed where the INI file states none.
+const HEADROOM: f64 = 0.2;
+/// The slew limit of the machine file, in mm/s.
+const SLEW: f64 = 1.2;
+const CYCLE_S: f64 = 1e-3;
+/// The recorder rounds to 1 nm, in mm; a sum has three numbers, an acceleration four.
+const NOISE: f64 = 2e-6;
+const NOISE_OF_ACCELERATION: f64 = 2.0;
+/// Where the probe closes and the home switch of X is, by the drives, in mm.
+const SURFACE: f64 = -5.0;
+const SWITCH: f64 = -2.0;
+
+const INI: &str = "\
+[EMC]
+VERSION = 1.1
+MACHINE = stock
+[DISPLAY]
+DISPLAY = FOLDER/SCREEN
+[TASK]
+TASK = milltask
+CYCLE_TIME = 0.001
+[RS274NGC]
+PARAMETER_FILE = sim.var
+[EMCMOT]
+EMCMOT = motmod
+COMM_TIMEOUT = 30.0
+BASE_PERIOD = 0
+SERVO_PERIOD = 1000000
+[EMCIO]
+EMCIO = io
+CYCLE_TIME = 0.100
+TOOL_TABLE = sim.tbl
+[HAL]
+HALFILE = core_sim.hal
+HALFILE = own.hal
+[TRAJ]
+COORDINATES = X Y Z
+LINEAR_UNITS = mm
+ANGULAR_UNITS = degree
+MAX_LINEAR_VELOCITY = 53
+[KINS]
+KINEMATICS = trivkins
+JOINTS = 3
+";
+/// A switch, a probe, and a recorder whose pins are connected later.
+const OWN: &str = "\
+loadrt comp names=switch,probe
+loadrt sampler depth=16000 cfg=fffffffffffffb
+addf switch servo-thread
+addf probe servo-thread
+addf sampler.0 servo-thread
+setp switch.in0 -2
+setp probe.in1 -5
+setp probe.hyst 0
+setp switch.hyst 0
+net Xpos => switch.in1
+net Zpos => probe.in0
+net at-switch switch.out => joint.0.home-sw-in
+net touched probe.out => motion.probe-input
+";
+
+fn ini() -> String {
+    let mut text = INI.to_string();
+    for (joint, (axis, home)) in ["X", "Y", "Z"].iter().zip([true, false, false]).enumerate() {
+        let motion = format!(
+            "MIN_LIMIT = -50\nMAX_LIMIT = 50\nMAX_VELOCITY = {MAX_VELOCITY}\nMAX_ACCELERATION = {MAX_ACCELERATION}\n"
+        );
+        // The switch closes above -2 mm: found at 10 mm/s, then left at 0.1 mm/s.
+        let home = if home {
+            format!(
+                "HOME_SEARCH_VEL = 10\nHOME_LATCH_VEL = -0.1\nHOME_OFFSET = {SWITCH}\nHOME = 0\nHOME_SEQUENCE = 0\n"
+            )
+        } else {
+            "HOME_SEARCH_VEL = 0\nHOME_LATCH_VEL = 0\nHOME = 0\nHOME_SEQUENCE = 1\n".into()
+        };
+        text += &format!(
+            "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = LINEAR\nBACKLASH = 0.000\nFERROR = 1\nMIN_FERROR = 0.25\n{motion}{home}"
+        );
+    }
+    text
+}
+
+/// One servo cycle, in mm.
+#[derive(Clone, Copy, Debug, Default)]
+struct Cycle {
+    /// What the planner commands.
+    planner: [f64; 3],
+    /// What the drives get.
+    drive: [f64; 3],
+    /// The offsets that act.
+    offset: [f64; 3],
+    /// What the planner sees of the drives.
+    feedback: [f64; 3],
+    /// What the bridge says of X, as the component passes it on.
+    goal: f64,
+    is_on: bool,
+}
+
+/// LinuxCNC with the offsets at its joints.
+struct Rig {
+    cnc: Headless,
+    bridge: FakeBridge,
+    cycles: Receiver<Option<Cycle>>,
+    _sampler: Sampler,
+}
+
+fn tool(words: &[&str], code: i32) -> Result<String> {
+    let done = Command::new(programs::trueup()?).args(words).stdin(Stdio::null()).output()?;
+    let said = format!(
+        "{}{}",
+        String::from_utf8_lossy(&done.stdout),
+        String::from_utf8_lossy(&done.stderr)
+    );
+    ensure!(
+        done.status.code() == Some(code),
+        "trueup {words:?}: {:?}, not {code}\n{said}",
+        done.status
+    );
+    Ok(said)
+}
+
+/// The text of each file of a folder that has a name like these.
+fn texts(folder: &Path) -> Result<Vec<(String, String)>> {
+    let mut all = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.ends_with(".ini") || name.ends_with(".hal") {
+            all.push((name, fs::read_to_string(entry.path())?));
+        }
+    }
+    all.sort();
+    Ok(all)
+}
+
+impl Rig {
+    fn start() -> Result<Option<Self>> {
+        let Some(control) = setup::linuxcnc()? else {
+            println!("skipped: this distribution has no package of LinuxCNC");
+            return Ok(None);
+        };
+        let folder = Headless::new_folder()?;
+        let path = |name: &str| folder.path().join(name);
+        let here = folder.path().to_str().context("a temporary folder has a plain name")?;
+        let stock = ini().replace("FOLDER", here).replace("SCREEN", DISPLAY);
+        fs::write(path("stock.ini"), &stock)?;
+        fs::write(path("own.hal"), OWN)?;
+        fs::write(path("sim.tbl"), "")?;
+        let gantry = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
+        let machine =
+            fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", "slew_um_per_s = 1200.0");
+        fs::write(path("machine.toml"), machine)?;
+        fs::copy(programs::trueup()?, path("trueup"))?;
+
+        let bridge = FakeBridge::start()?;
+        let (ini, machine) = (path("stock.ini"), path("machine.toml"));
+        let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
+        let before = texts(folder.path())?;
+        let said = tool(&["linuxcnc", "check", &ini, "--machine", &machine], 0)?;
+        ensure!(said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
+        let setup = ["linuxcnc", "setup", &ini, "--machine", &machine, "--port", &bridge.address()];
+        tool(&setup, 0)?;
+        let once = texts(folder.path())?;
+        let said = tool(&setup, 0)?;
+        ensure!(said.contains("nothing was changed") && texts(folder.path())? == once, "{said}");
+        tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
+        ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
+        tool(&setup, 0)?;
+
+        let mut cnc = Headless::start(folder, "stock.ini", control)?;
+        let pins = ["trueup-j0-cmd", "trueup-j1-cmd", "trueup-j2-cmd", "Xpos", "Ypos", "Zpos"];
+        let more = [
+            "trueup-j0-now",
+            "trueup-j1-now",
+            "trueup-j2-now",
+            "trueup-j0-fb",
+            "trueup-j1-fb",
+            "trueup-j2-fb",
+        ];
+        for (index, signal) in
+            pins.iter().chain(&more).chain(&["trueup-j0-offset", "trueup-on"]).enumerate()
+        {
+            cnc.halcmd(&format!("net {signal} => sampler.0.pin.{index}"))?;
+        }
+        let (sampler, lines) = cnc.sample()?;
+        let (sender, cycles) = mpsc::channel();
+        thread::spawn(move || {
+            for line in BufReader::new(lines).lines().map_while(Result::ok) {
+                let words: Vec<f64> =
+                    line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+                let three = |from: usize| [words[from], words[from + 1], words[from + 2]];
+                // A gap is no cycle after the one before it.
+                let cycle = (words.len() == 15).then(|| Cycle {
+                    planner: three(1),
+                    drive: three(4),
+                    offset: three(7),
+                    feedback: three(10),
+                    goal: words[13],
+                    is_on: words[14] != 0.0,
+                });
+                if sender.send(cycle).is_err() {
+                    return;
+                }
+            }
+        });
+        cnc.switch_on()?;
+        Ok(Some(Self { cnc, bridge, cycles, _sampler: sampler }))
+    }
+
+    /// Says these offsets, and waits until they act.
+    fn offsets(&mut self, um: [f64; 3]) -> Result<()> {
+        self.bridge.say(um);
+        self.applied(um)
+    }
+
+    fn applied(&mut self, um: [f64; 3]) -> Result<()> {
+        let names = [
+            "trueup.0.x-applied-um",
+            "trueup.0.y-applied-um",
+            "trueup.0.z-applied-um",
+            "trueup.0.applied",
+        ];
+        self.cnc.wait(&format!("{um:?} act"), 20, &names, |seen| {
+            (0..3).all(|axis| (seen[axis] - um[axis]).abs() < 0.02) && seen[3] == 1.0
+        })
+    }
+
+    fn mdi(&mut self, text: &str) -> Result<()> {
+        self.cnc.act("mdi", "text", text).map(drop)
+    }
+
+    /// The cycles since the last call.
+    fn cycles(&mut self) -> Vec<Option<Cycle>> {
+        // What the recorder holds back for a moment.
+        thread::sleep(Duration::from_millis(300));
+        self.cycles.try_iter().collect()
+    }
+
+    /// Checks all cycles since the last call.
+    fn check(&mut self, what: &str) -> Result<Seen> {
+        let seen = Seen::of(&self.cycles());
+        println!("{what}: {seen:?}");
+        ensure!(seen.cycles > 100 && seen.offset > 0.0, "{what}: hardly a cycle was recorded");
+        // The drive's command is the planner's and the offset, and the planner's feedback lacks it.
+        ensure!(seen.sum <= NOISE && seen.feedback <= NOISE, "{what}: {seen:?}");
+        ensure!(seen.offset_speed <= SLEW + NOISE / CYCLE_S, "{what}: {seen:?}");
+        ensure!(
+            seen.offset_acceleration <= HEADROOM * MAX_ACCELERATION + NOISE_OF_ACCELERATION,
+            "{what}: {seen:?}"
+        );
+        ensure!(seen.drive_speed <= MAX_VELOCITY + SLEW + NOISE / CYCLE_S, "{what}: {seen:?}");
+        let drive = (1.0 + HEADROOM) * MAX_ACCELERATION + NOISE_OF_ACCELERATION;
+        ensure!(seen.drive_acceleration <= drive, "{what}: {seen:?}");
+        Ok(seen)
+    }
+}
+
+/// The largest of each over a stretch of cycles, in mm and seconds.
+#[derive(Clone, Copy, Debug, Default)]
+struct Seen {
+    cycles: usize,
+    sum: f64,
+    feedback: f64,
+    offset_speed: f64,
+    offset_acceleration: f64,
+    drive_speed: f64,
+    drive_acceleration: f64,
+    planner_acceleration: f64,
+    offset: f64,
+}
+
+impl Seen {
+    fn of(cycles: &[Option<Cycle>]) -> Self {
+        let mut seen = Self { cycles: cycles.len(), ..Self::default() };
+        let largest = |place: &mut f64, value: f64| *place = place.max(value.abs());
+        for three in cycles.windows(3) {
+            let [Some(first), Some(second), Some(third)] = three else { continue };
+            let is_on = first.is_on && second.is_on && third.is_on;
+            for axis in 0..3 {
+                let second_difference = |of: fn(&Cycle) -> &[f64; 3]| {
+                    (of(third)[axis] - 2.0 * of(second)[axis] + of(first)[axis])
+                        / (CYCLE_S * CYCLE_S)
+                };
+                largest(
+                    &mut seen.sum,
+                    third.drive[axis] - third.planner[axis] - third.offset[axis],
+                );
+                largest(
+                    &mut seen.feedback,
+                    third.feedback[axis] - (second.drive[axis] - second.offset[axis]),
+                );
+                largest(
+                    &mut seen.offset_speed,
+                    (third.offset[axis] - second.offset[axis]) / CYCLE_S,
+                );
+                largest(&mut seen.offset_acceleration, second_difference(|it| &it.offset));
+                largest(&mut seen.offset, third.offset[axis]);
+                if is_on {
+                    largest(
+                        &mut seen.drive_speed,
+                        (third.drive[axis] - second.drive[axis]) / CYCLE_S,
+                    );
+                    largest(&mut seen.drive_acceleration, second_difference(|it| &it.drive));
+                    largest(&mut seen.planner_acceleration, second_difference(|it| &it.planner));
+                }
+            }
+        }
+        seen
+    }
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
+    let Some(mut rig) = Rig::start()? else { return Ok(()) };
+    rig.offsets([10.0, -20.0, 40.0])?;
+    rig.check("start")?;
+
+    // A reversal of 6 um: from the first cycle in which the component asks for it.
+    for x in [16.0, 10.0, 16.0, 10.0] {
+        rig.offsets([x, -20.0, 40.0])?;
+        let cycles: Vec<Cycle> = rig.cycles().into_iter().flatten().collect();
+        let asked = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
+        let asked = asked.context("the offset was asked for")?;
+        let there = cycles[asked..].iter().position(|it| (it.offset[0] * 1e3 - x).abs() < 0.05);
+        let took = there.context("the offset is there")?;
+        println!("reversal of 6 um: {took} ms");
+        assert!(took <= 13, "{took} ms");
+    }
+
+    // A program has all of its acceleration.
+    // Exact stops: where moves are blended, LinuxCNC gives each half of the acceleration.
+    rig.mdi("G61")?;
+    rig.mdi("G53 G0 X20 Y20 Z-1")?;
+    let seen = rig.check("rapid moves")?;
+    assert!(seen.planner_acceleration >= 0.99 * MAX_ACCELERATION, "{seen:?}");
+
+    for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
+        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.bridge.say(um);
+        thread::sleep(Duration::from_millis(400));
+        rig.cnc.ask(&json!({"do": "abort"}))?;
+        rig.applied(um)?;
+        rig.check("abort")?;
+        rig.mdi("G53 G0 X20 Y20")?;
+    }
+
+    for state in ["estop", "off"] {
+        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        thread::sleep(Duration::from_millis(300));
+        rig.cnc.act("state", "name", state)?;
+        let held = rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
+        rig.bridge.say([-30.0, 0.0, 0.0]);
+        thread::sleep(Duration::from_millis(300));
+        assert_eq!(
+            held,
+            rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?
+        );
+        assert!((held[0] - 0.01).abs() < 1e-6 && (held[1] - 0.04).abs() < 1e-6, "{held:?}");
+        rig.cnc.switch_on()?;
+        rig.applied([-30.0, 0.0, 0.0])?;
+        rig.offsets([10.0, -20.0, 40.0])?;
+        rig.check(state)?;
+        rig.mdi("G53 G0 X20 Y20")?;
+    }
+
+    // Homed again with the offset on: the drive finds the same place.
+    rig.mdi("G53 G0 X-10 Y0")?;
+    rig.cycles();
+    let drive = rig.cnc.pin("trueup-j0.out")?;
+    rig.bridge.say([10.0, -20.0, 40.0]);
+    rig.cnc.act("home", "joint", 0)?;
+    rig.cnc.act("teleop", "on", true)?;
+    rig.applied([10.0, -20.0, 40.0])?;
+    rig.mdi("G53 G0 X-10 Y0")?;
+    let again = rig.cnc.pin("trueup-j0.out")?;
+    println!("homed again: the drive is {:.3} um off", (again - drive) * 1e3);
+    // The switch is left at 0.1 mm/s, and seen in a servo cycle.
+    assert!((again - drive).abs() < 0.3e-3, "{again} {drive}");
+    rig.check("homing")?;
+
+    // At the soft limit the drive does not go beyond.
+    rig.offsets([50.0, -20.0, 40.0])?;
+    rig.cnc.ask(&json!({"do": "jog", "axis": 0, "speed": 20.0}))?;
+    rig.cnc.wait(
+        "the offset stands back",
+        5,
+        &["trueup.0.limited", "joint.0.pos-cmd", "trueup-mv.offset-current-0"],
+        |seen| seen[0] == 1.0 && (seen[1] - 50.0).abs() < 1e-6,
+    )?;
+    thread::sleep(Duration::from_millis(200));
+    let seen = rig.cnc.pins(&["trueup-j0.out", "joint.0.motor-offset", "joint.0.pos-cmd"])?;
+    println!("at the soft limit: {seen:?}");
+    assert!(seen[0] <= 50.0 + 1e-6, "{seen:?}");
+    rig.check("soft limit")?;
+    rig.mdi("G53 G0 X0")?;
+    rig.applied([50.0, -20.0, 40.0])?;
+
+    // A probed point is that of the planner: 30 um more of offset, 30 um less of position.
+    let mut probed = Vec::new();
+    for z in [40.0, 70.0] {
+        rig.offsets([50.0, -20.0, z])?;
+        rig.mdi(&format!("G53 G0 Z{}", SURFACE + 0.2))?;
+        rig.mdi("G38.2 Z-6 F6")?;
+        let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
+        probed.push(stat["probed"][2].as_f64().context("a position")?);
+        rig.mdi("G53 G0 Z0")?;
+    }
+    println!("probed: {probed:?}");
+    // 0.1 mm/s and a servo cycle.
+    assert!((probed[0] - probed[1] - 0.03).abs() <= 0.11e-3, "{probed:?}");
+    assert!((probed[0] + 0.04 - SURFACE).abs() <= 0.21e-3, "{probed:?}");
+    rig.check("probing")?;
+
+    // A bridge that falls silent: held, then taken back by the limits.
+    rig.bridge.silence(true);
+    rig.cnc.wait("taken back", 20, &["trueup.0.fault", "trueup-mv.offset-current-2"], |seen| {
+        seen[0] == 1.0 && seen[1].abs() < 1e-6
+    })?;
+    rig.bridge.silence(false);
+    rig.applied([50.0, -20.0, 70.0])?;
+    rig.check("silence")?;
+    rig.cnc.end()
+}
