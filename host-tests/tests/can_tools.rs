@@ -78,11 +78,55 @@ fn random_frame(random: &mut Random, id: u16) -> Result<Frame> {
     Ok(Frame::new(id, &data)?)
 }
 
+fn one(name: &str, value: f64) -> (String, Option<f64>) {
+    (name.to_owned(), Some(value))
+}
+
+fn um(nm: i32) -> f64 {
+    f64::from(nm) / 1_000.0
+}
+
+/// The number and the values of an item of a status frame.
+fn item(item: Item) -> (u8, Values) {
+    let number = |n: u16| f64::from(n);
+    match item {
+        Item::Temperatures { pair, centi_c } => {
+            let values = (0..).zip(centi_c).map(|(n, centi_c): (u8, _)| {
+                let name = format!("Temperature{}", 2 * pair + n);
+                (name, centi_c.map(|it| f64::from(it) / 100.0))
+            });
+            (pair, values.collect())
+        }
+        Item::Elongation(it) => (4, vec![("Elongation".into(), it.map(|it| um(it.0)))]),
+        Item::Refused { damaged, out_of_sequence } => (
+            5,
+            vec![one("Damaged", number(damaged)), one("OutOfSequence", number(out_of_sequence))],
+        ),
+        Item::Received { malformed, lost } => {
+            (6, vec![one("Malformed", number(malformed)), one("Lost", number(lost))])
+        }
+        Item::Board { noise_thousandths, faults } => (
+            7,
+            vec![one("Noise", number(noise_thousandths) / 1_000.0), one("Faults", number(faults))],
+        ),
+        Item::State(bits) => (8, vec![one("StateBits", bits.0.into())]),
+        Item::Reset { reason, free_stack } => (
+            9,
+            vec![one("ResetReason", f64::from(reason as u8)), one("FreeStack", number(free_stack))],
+        ),
+        Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
+        Item::Slope { axis, constant, slope } => {
+            let name = ["X", "Y", "Z"][usize::from(axis)];
+            let constant = constant.map(|it| f64::from(it) / 10.0);
+            let slope = one(&format!("OffsetSlope{name}"), f64::from(slope) / 10.0);
+            (11 + axis, vec![(format!("OffsetConstant{name}"), constant), slope])
+        }
+    }
+}
+
 /// What our codec makes of a frame, and of that again.
 fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
     let counter = frames::counter(frame);
-    let one = |name: &str, value: f64| (name.to_owned(), Some(value));
-    let um = |nm: i32| f64::from(nm) / 1_000.0;
     Ok(match frame.id() {
         OFFSET_XY_ID => {
             let read = frames::decode_offset_xy(frame)?;
@@ -110,49 +154,7 @@ fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
         }
         STATUS_ID => {
             let read = status::decode(frame)?;
-            let number = |n: u16| f64::from(n);
-            let (item, mut values) = match read.item {
-                Item::Temperatures { pair, centi_c } => {
-                    let values = (0..).zip(centi_c).map(|(n, centi_c): (u8, _)| {
-                        let name = format!("Temperature{}", 2 * pair + n);
-                        (name, centi_c.map(|it| f64::from(it) / 100.0))
-                    });
-                    (pair, values.collect())
-                }
-                Item::Elongation(it) => (4, vec![("Elongation".into(), it.map(|it| um(it.0)))]),
-                Item::Refused { damaged, out_of_sequence } => (
-                    5,
-                    vec![
-                        one("Damaged", number(damaged)),
-                        one("OutOfSequence", number(out_of_sequence)),
-                    ],
-                ),
-                Item::Received { malformed, lost } => {
-                    (6, vec![one("Malformed", number(malformed)), one("Lost", number(lost))])
-                }
-                Item::Board { noise_thousandths, faults } => (
-                    7,
-                    vec![
-                        one("Noise", number(noise_thousandths) / 1_000.0),
-                        one("Faults", number(faults)),
-                    ],
-                ),
-                Item::State(bits) => (8, vec![one("StateBits", bits.0.into())]),
-                Item::Reset { reason, free_stack } => (
-                    9,
-                    vec![
-                        one("ResetReason", f64::from(reason as u8)),
-                        one("FreeStack", number(free_stack)),
-                    ],
-                ),
-                Item::Calibration(crc) => (10, vec![one("CalibrationCrc", crc.into())]),
-                Item::Slope { axis, constant, slope } => {
-                    let name = ["X", "Y", "Z"][usize::from(axis)];
-                    let constant = constant.map(|it| f64::from(it) / 10.0);
-                    let slope = one(&format!("OffsetSlope{name}"), f64::from(slope) / 10.0);
-                    (11 + axis, vec![(format!("OffsetConstant{name}"), constant), slope])
-                }
-            };
+            let (item, mut values) = item(read.item);
             values.push(one("Item", item.into()));
             values.push(one("LastRefused", f64::from(read.last_refused as u8)));
             (status::encode(&read, counter), values)

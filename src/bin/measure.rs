@@ -169,6 +169,13 @@ fn tick(
     writeln!(text, "{of_live} {live} {TICKS}").expect("space");
 }
 
+/// Measures a part of the tick: its name, and one turn of it.
+type Part<'p> = dyn FnMut(&str, &mut dyn FnMut(&mut Random) -> u16) + 'p;
+
+fn place(random: &mut Random) -> [Position; 3] {
+    [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.below(reach) as i32))
+}
+
 fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<4096>) {
     let costs = &mut costs[..PARTS];
     let mut random = Random::new(2);
@@ -179,6 +186,36 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
         say(text, name, costs);
     };
 
+    parts_of_sensor(calibration, &mut part);
+    parts_of_axes(calibration, &mut part);
+    let kinematics = calibration.kinematics;
+    part("tool_direction", &mut |random| {
+        let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));
+        let elongation = Nanometres(random.around(200_000));
+        cost(&mut || {
+            black_box(&kinematics.direction(angles).fine_error(elongation));
+        })
+    });
+    let mut applied = Applied::default();
+    let limits = calibration.limits;
+    part("limits", &mut |random| {
+        let target = [(); 3].map(|()| Nanometres(random.around(400_000)));
+        cost(&mut || {
+            black_box(applied.step(&limits, target, 1));
+        })
+    });
+    part("frames", &mut |random| {
+        let offset = Some([(); 3].map(|()| Nanometres(random.around(400_000))));
+        let output = Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 };
+        let counter = random.next() as u8;
+        cost(&mut || {
+            black_box(&[frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]);
+        })
+    });
+}
+
+/// Measures from the samples to the elongation.
+fn parts_of_sensor(calibration: &Calibration<'_>, part: &mut Part<'_>) {
     let mut health = Health::default();
     part("health", &mut |random| {
         let codes: [Code; CODES_PER_TICK] =
@@ -211,9 +248,10 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
             black_box(sensor.elongation(reading));
         })
     });
-    let place = |random: &mut Random| {
-        [1_430_000_000, 300_000_000, 250_000_000].map(|reach| Position(random.below(reach) as i32))
-    };
+}
+
+/// Measures the errors of the axes.
+fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
     part("thermal", &mut |random| {
         let places = place(random);
         let gradients = [(); 3].map(|()| Gradient(random.around(20_000_000)));
@@ -262,30 +300,6 @@ fn parts(calibration: &Calibration<'_>, costs: &mut [u16], text: &mut String<409
         cost(&mut || cached.moved(calibration, &heat, &at, axis))
     });
     black_box(cached.errors());
-    let kinematics = calibration.kinematics;
-    part("tool_direction", &mut |random| {
-        let angles = [180_000_000, 110_000_000].map(|most| MicroDegrees(random.around(most)));
-        let elongation = Nanometres(random.around(200_000));
-        cost(&mut || {
-            black_box(&kinematics.direction(angles).fine_error(elongation));
-        })
-    });
-    let mut applied = Applied::default();
-    let limits = calibration.limits;
-    part("limits", &mut |random| {
-        let target = [(); 3].map(|()| Nanometres(random.around(400_000)));
-        cost(&mut || {
-            black_box(applied.step(&limits, target, 1));
-        })
-    });
-    part("frames", &mut |random| {
-        let offset = Some([(); 3].map(|()| Nanometres(random.around(400_000))));
-        let output = Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 };
-        let counter = random.next() as u8;
-        cost(&mut || {
-            black_box(&[frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]);
-        })
-    });
 }
 
 /// A function of a position and what it is looked up in.

@@ -44,50 +44,7 @@ pub struct Options {
 }
 
 pub fn options() -> Options {
-    let mut o = Options {
-        image: String::new(),
-        run: ms(2000),
-        faults: Faults::default(),
-        ports: [None; 2],
-        plc: (19_200.0, Parity::Even, 1),
-        low: Vec::new(),
-        rtt: None,
-        awake: false,
-        quiet: false,
-        from_loader: false,
-        trace: 0,
-        lsi: 32_000,
-        battery: false,
-        crystal: 8_000_000,
-        slow_flash: false,
-        supply: NOMINAL_SUPPLY,
-        inputs: [0.0; 16],
-        bor: false,
-        write_protected: false,
-        ram_stuck: 0,
-        broken: 0,
-        rtds: 8,
-        masked: false,
-        flash: None,
-        serial_out: None,
-        script: None,
-        live: false,
-        log: None,
-        plan: Plan {
-            code: 1000.0,
-            code_after: 1200.0,
-            step_at: ms(1000),
-            noise: 1.0,
-            cnc_from: ms(50),
-            engage_at: ms(400),
-            zero_at: NEVER,
-            cnc_until: NEVER,
-            rpm: 3000,
-            says: Vec::new(),
-            positions: 100,
-            frames: Vec::new(),
-        },
-    };
+    let mut o = defaults();
     let mut args = std::env::args().skip(1);
     let number = |v: Option<String>, what: &str| -> u64 {
         v.and_then(|v| v.parse().ok()).unwrap_or_else(|| usage(what))
@@ -110,26 +67,11 @@ pub fn options() -> Options {
             "--positions" => o.plan.positions = number(args.next(), &a),
             "--say" => {
                 let at = ms(number(args.next(), &a));
-                let text = args.next().unwrap_or_else(|| usage("--say")).replace("\\r", "\r");
-                o.plan.says.push((at, text.into_bytes()));
+                o.plan.says.push((at, text_to_say(args.next())));
             }
             "--frame" => {
                 let at = ms(number(args.next(), &a));
-                let text = args.next().unwrap_or_else(|| usage("--frame"));
-                let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
-                let bytes: Vec<u8> = (0..data.len() / 2)
-                    .map(|i| {
-                        u8::from_str_radix(&data[2 * i..2 * i + 2], 16)
-                            .unwrap_or_else(|_| usage("--frame"))
-                    })
-                    .collect();
-                o.plan.frames.push((
-                    at,
-                    Frame::new(
-                        u32::from_str_radix(id, 16).unwrap_or_else(|_| usage("--frame")),
-                        &bytes,
-                    ),
-                ));
+                o.plan.frames.push((at, frame(args.next())));
             }
             "--hse-stops" => o.faults.hse_stops = ms(number(args.next(), &a)),
             "--hse-dead" => o.faults.hse_dead = true,
@@ -192,6 +134,68 @@ pub fn options() -> Options {
         usage("no image");
     }
     o
+}
+
+/// A sound board that runs for two seconds.
+fn defaults() -> Options {
+    Options {
+        image: String::new(),
+        run: ms(2000),
+        faults: Faults::default(),
+        ports: [None; 2],
+        plc: (19_200.0, Parity::Even, 1),
+        low: Vec::new(),
+        rtt: None,
+        awake: false,
+        quiet: false,
+        from_loader: false,
+        trace: 0,
+        lsi: 32_000,
+        battery: false,
+        crystal: 8_000_000,
+        slow_flash: false,
+        supply: NOMINAL_SUPPLY,
+        inputs: [0.0; 16],
+        bor: false,
+        write_protected: false,
+        ram_stuck: 0,
+        broken: 0,
+        rtds: 8,
+        masked: false,
+        flash: None,
+        serial_out: None,
+        script: None,
+        live: false,
+        log: None,
+        plan: Plan {
+            code: 1000.0,
+            code_after: 1200.0,
+            step_at: ms(1000),
+            noise: 1.0,
+            cnc_from: ms(50),
+            engage_at: ms(400),
+            zero_at: NEVER,
+            cnc_until: NEVER,
+            rpm: 3000,
+            says: Vec::new(),
+            positions: 100,
+            frames: Vec::new(),
+        },
+    }
+}
+
+fn text_to_say(text: Option<String>) -> Vec<u8> {
+    text.unwrap_or_else(|| usage("--say")).replace("\\r", "\r").into_bytes()
+}
+
+/// A frame written as `302#0011`.
+fn frame(text: Option<String>) -> Frame {
+    let text = text.unwrap_or_else(|| usage("--frame"));
+    let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
+    let byte = |i: usize| u8::from_str_radix(&data[2 * i..2 * i + 2], 16);
+    let bytes: Vec<u8> =
+        (0..data.len() / 2).map(|i| byte(i).unwrap_or_else(|_| usage("--frame"))).collect();
+    Frame::new(u32::from_str_radix(id, 16).unwrap_or_else(|_| usage("--frame")), &bytes)
 }
 
 /// The port and number of a pin like `PC12`.

@@ -63,6 +63,39 @@ fn signed(v: u64, bits: u32) -> i64 {
 }
 
 pub fn summary(c: &Chip, quiet: bool) {
+    units(c);
+    let mut by: Frames<'_> = BTreeMap::new();
+    for (t, f) in &c.world.log {
+        by.entry(f.id).or_default().push((*t, f));
+    }
+    frames(&by);
+    offsets(&by);
+    for (t, f) in by.get(&0x81).into_iter().flatten().take(20) {
+        println!("   emergency at {:9.3} ms: {:02x?}", seconds(*t) * 1e3, f.data);
+    }
+    temperatures(&by);
+    for id in [0x701, 0x581] {
+        for (t, f) in by.get(&id).into_iter().flatten().take(4) {
+            println!(
+                "   {id:03X} at {:9.3} ms: {:02x?}",
+                seconds(*t) * 1e3,
+                &f.data[..f.len as usize]
+            );
+        }
+    }
+    if !quiet && !c.world.wires[0].heard.is_empty() {
+        let text: String = c.world.wires[0].heard.iter().map(|b| b.1 as char).collect();
+        for line in text.split('\r').take(12) {
+            println!("   serial: {line:?}");
+        }
+    }
+}
+
+/// The frames of each identifier, with their times.
+type Frames<'f> = BTreeMap<u32, Vec<(u64, &'f Frame)>>;
+
+/// What each unit has done.
+fn units(c: &Chip) {
     let lamp = c.world.lamp.len();
     let adc = &c.adc.unit[0];
     println!(
@@ -126,11 +159,11 @@ pub fn summary(c: &Chip, quiet: bool) {
             r.conversions, r.reads, r.stale
         );
     }
-    let mut by: BTreeMap<u32, Vec<(u64, &Frame)>> = BTreeMap::new();
-    for (t, f) in &c.world.log {
-        by.entry(f.id).or_default().push((*t, f));
-    }
-    for (id, frames) in &by {
+}
+
+/// How many frames of each identifier there were, how regular and how sound.
+fn frames(by: &Frames<'_>) {
+    for (id, frames) in by {
         let gaps: Vec<f64> = frames.windows(2).map(|w| seconds(w[1].0 - w[0].0) * 1e3).collect();
         let (low, high) = gaps.iter().fold((f64::MAX, 0f64), |a, g| (a.0.min(*g), a.1.max(*g)));
         let protected = matches!(id, 0x181 | 0x281 | 0x381);
@@ -152,6 +185,10 @@ pub fn summary(c: &Chip, quiet: bool) {
             if gaps.is_empty() { 0.0 } else { low }
         );
     }
+}
+
+/// The offset of Z, where its quality or its flags change.
+fn offsets(by: &Frames<'_>) {
     let mut last = (99, 99);
     let mut shown = 0;
     for (t, f) in by.get(&0x281).into_iter().flatten() {
@@ -179,9 +216,10 @@ pub fn summary(c: &Chip, quiet: bool) {
             f.data[7]
         );
     }
-    for (t, f) in by.get(&0x81).into_iter().flatten().take(20) {
-        println!("   emergency at {:9.3} ms: {:02x?}", seconds(*t) * 1e3, f.data);
-    }
+}
+
+/// The last temperature of each channel.
+fn temperatures(by: &Frames<'_>) {
     let mut temperatures = BTreeMap::new();
     for (_, f) in by.get(&0x381).into_iter().flatten() {
         let item = f.data[3] & 15;
@@ -200,19 +238,4 @@ pub fn summary(c: &Chip, quiet: bool) {
             .map(|(k, v)| format!("{k}: {:.2} °C", f64::from(*v) / 100.0))
             .collect::<Vec<_>>()
     );
-    for id in [0x701, 0x581] {
-        for (t, f) in by.get(&id).into_iter().flatten().take(4) {
-            println!(
-                "   {id:03X} at {:9.3} ms: {:02x?}",
-                seconds(*t) * 1e3,
-                &f.data[..f.len as usize]
-            );
-        }
-    }
-    if !quiet && !c.world.wires[0].heard.is_empty() {
-        let text: String = c.world.wires[0].heard.iter().map(|b| b.1 as char).collect();
-        for line in text.split('\r').take(12) {
-            println!("   serial: {line:?}");
-        }
-    }
 }

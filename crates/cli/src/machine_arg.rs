@@ -33,7 +33,7 @@ impl MachineArg {
 /// line does not give it.
 pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
     let mut command = tool;
-    let mut file = None;
+    let (mut file, mut others) = (None, 0);
     let mut takes_value = false;
     for (at, word) in words.iter().enumerate().skip(1) {
         let text = word.to_string_lossy();
@@ -48,8 +48,10 @@ pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
             takes_value = !text.contains('=') && waits_for_value(tool, command, &text);
         } else if let Some(inner) = command.find_subcommand(text.as_ref()) {
             command = inner;
-        } else if text.ends_with(".toml") {
-            file = file.or(Some(at));
+        } else if text.ends_with(".toml") && file.is_none() {
+            file = Some(at);
+        } else {
+            others += 1;
         }
     }
     let has = |name: &str| command.get_arguments().any(|argument| argument.get_id() == name);
@@ -60,13 +62,19 @@ pub fn with_option(tool: &Command, words: Vec<OsString>) -> Vec<OsString> {
             || matches!(argument.get_action(), ArgAction::Append)
     });
     match file {
-        Some(at) if has("machine") && !is_declared => {
+        Some(at) if has("machine") && !is_declared && others >= own_files(command).count() => {
             let mut words = words;
             words.insert(at, "--machine".into());
             words
         }
         _ => words,
     }
+}
+
+/// Returns the files that a command requires as words of its own: `import FILE`.
+fn own_files(command: &Command) -> impl Iterator<Item = &Arg> {
+    let positionals = command.get_positionals();
+    positionals.filter(|it| it.is_required_set() && it.get_possible_values().is_empty())
 }
 
 fn is_machine(option: &str) -> bool {
@@ -99,8 +107,9 @@ mod tests {
 
     /// Every command that has `--machine`, by its words.
     fn with_machine(command: &Command, path: &str, all: &mut Vec<String>) {
+        let files = own_files(command).map(|_| " x.csv").collect::<String>();
         if command.get_arguments().any(|argument| argument.get_long() == Some("machine")) {
-            all.push(path.trim_start().to_owned());
+            all.push(path.trim_start().to_owned() + &files);
         }
         for inner in command.get_subcommands() {
             with_machine(inner, &format!("{path} {}", inner.get_name()), all);
@@ -156,6 +165,9 @@ mod tests {
             ),
             ("trueup learn -m a.toml b.toml", "trueup learn -m a.toml b.toml"),
             ("trueup import t.csv m.toml", "trueup import t.csv --machine m.toml"),
+            ("trueup import m.toml", "trueup import m.toml"),
+            ("trueup compare a.csv b.csv m.toml", "trueup compare a.csv b.csv --machine m.toml"),
+            ("trueup compare m.toml b.csv", "trueup compare m.toml b.csv"),
             ("trueup check a.toml b.toml", "trueup check a.toml b.toml"),
             ("trueup compile m.toml -o m.bin", "trueup compile m.toml -o m.bin"),
             ("trueup simulate --scenario s.toml", "trueup simulate --scenario s.toml"),

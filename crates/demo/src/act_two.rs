@@ -105,14 +105,8 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     let first = hidden.record(0, false)?;
     let (source, _) = bench::connected(&plant.machine, &first)?;
     let mut notes = Vec::new();
-    let times = first.require("time_s")?;
-    let span_s = times[times.len() - 1] - times[0];
-    let shift = (span_s / SHIFT_S).ceil();
     let second = hidden.record(1, false)?;
-    // Not so fast that a board would doubt its thermometers.
-    let least = (span_s / LONGEST_SHIFT_S).ceil();
-    let faster = shift.min(most_faster(&first)?).min(most_faster(&second)?).floor();
-    let faster = faster.max(least).max(1.0);
+    let faster = factor_of_time(&first, &second)?;
     let day = Day { boards, quantity, faster };
 
     let believed = bench::machine(&source, faster)?;
@@ -159,23 +153,12 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     let at_tool =
         |source: &str, played: &Played| day.left(source, &truth, played, &hidden.measured());
     let (before_um, after_um) = (at_tool(&source, &before)?, at_tool(&extended, &after)?);
-    let known = |um: &[f64]| -> f64 {
-        rms(&um.iter().copied().filter(|um| um.is_finite()).collect::<Vec<f64>>())
-    };
     let (tool_rms_before_um, tool_rms_after_um) = (known(&before_um), known(&after_um));
-    let second_day = second
-        .require("time_s")?
-        .iter()
-        .zip(before_um.iter().zip(&after_um))
-        .map(|(time, (before, after))| [*time, *before, *after])
-        .collect();
+    let rows = second.require("time_s")?.iter().zip(before_um.iter().zip(&after_um));
+    let second_day = rows.map(|(time, (before, after))| [*time, *before, *after]).collect();
 
     let report = &diagnosis.report;
-    let faults: Vec<FaultSaid> = hidden
-        .faults
-        .iter()
-        .map(|it| FaultSaid { fault: it.fault.name(), causes: causes(it.fault), ratio: it.ratio })
-        .collect();
+    let faults = said(hidden);
     // The day as its bridge sees it: readings are not foreseen from readings.
     let unread = hidden.unread(&second)?;
     let promised = diagnosis.promised_on(&unread)?;
@@ -208,6 +191,30 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
         second_day,
         diagnosis,
     })
+}
+
+/// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so fast
+/// that a board would doubt its thermometers.
+fn factor_of_time(first: &RunFile, second: &RunFile) -> Result<f64> {
+    let times = first.require("time_s")?;
+    let span_s = times[times.len() - 1] - times[0];
+    let shift = (span_s / SHIFT_S).ceil();
+    let least = (span_s / LONGEST_SHIFT_S).ceil();
+    let faster = shift.min(most_faster(first)?).min(most_faster(second)?).floor();
+    Ok(faster.max(least).max(1.0))
+}
+
+/// Computes the RMS of the rows that are known.
+fn known(um: &[f64]) -> f64 {
+    rms(&um.iter().copied().filter(|um| um.is_finite()).collect::<Vec<f64>>())
+}
+
+/// Returns the hidden faults with the causes that stand for them.
+fn said(hidden: &Hidden) -> Vec<FaultSaid> {
+    let faults = hidden.faults.iter();
+    faults
+        .map(|it| FaultSaid { fault: it.fault.name(), causes: causes(it.fault), ratio: it.ratio })
+        .collect()
 }
 
 /// Faults that no finding names, and claimed causes that belong to no fault.

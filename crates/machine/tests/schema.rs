@@ -39,6 +39,19 @@ fn the_reference_prints_the_tables_of_the_code() {
     }
 }
 
+/// Returns true if the value has a type of the schema's language.
+fn is_of_type(value: &Value, name: &str) -> bool {
+    match name {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "integer" => value.is_i64(),
+        "number" => value.is_number(),
+        "boolean" => value.is_boolean(),
+        other => panic!("{other}"),
+    }
+}
+
 /// What of the schema's language this project's schema uses, and nothing else.
 fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
     let fails = |why: &str| Err(format!("{at}: {value} {why}"));
@@ -60,16 +73,7 @@ fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
         match keyword.as_str() {
             "$schema" | "title" | "description" | "default" | "examples" | "then" => {}
             "type" => {
-                let is_right = match rule.as_str().expect("a name") {
-                    "object" => value.is_object(),
-                    "array" => value.is_array(),
-                    "string" => value.is_string(),
-                    "integer" => value.is_i64(),
-                    "number" => value.is_number(),
-                    "boolean" => value.is_boolean(),
-                    other => panic!("{other}"),
-                };
-                if !is_right {
+                if !is_of_type(value, rule.as_str().expect("a name")) {
                     return fails(&format!("is no {rule}"));
                 }
             }

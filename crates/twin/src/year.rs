@@ -87,11 +87,8 @@ const WORN_UM: f64 = 9.0;
 /// Returns the year of `seed`.
 #[must_use]
 pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
-    let purpose = match kind {
-        Kind::Spindle => "year spindle",
-        Kind::Axis => "year axis",
-    };
-    let mut stream = Stream::new(seed, purpose);
+    let is_spindle = kind == Kind::Spindle;
+    let mut stream = Stream::new(seed, if is_spindle { "year spindle" } else { "year axis" });
     let mut probe = Stream::new(seed, "year probe");
     let mut wander = Correlated::new(Stream::new(seed, "year wander"), 0.4, 0.0);
     let part = 1.0 + stream.sign() * stream.uniform(0.2, 0.3);
@@ -106,12 +103,7 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
         events: Vec::new(),
     };
     if happens.events {
-        let names = ["constant-changed", "thermometer-moved", "zero-step"];
-        let sizes = [part - 1.0, shown, step_um];
-        let all = names.into_iter().zip(at).zip(sizes);
-        year.events = all
-            .map(|((name, at_s), size)| Planted { name, at_s, size, effect_um: Vec::new() })
-            .collect();
+        year.events = planted(at, [part - 1.0, shown, step_um]);
     }
     let is_after = |index: usize, day: usize| happens.events && day >= days_at[index];
     let mut next_check = 0;
@@ -160,10 +152,7 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
             let zero_um = if is_after(2, day) { step_um } else { 0.0 };
             let mut read_um = f64::NAN;
             if probed.contains(&row) {
-                read_um = um + zero_um + drift_um + NOISE_UM * probe.normal();
-                if probe.chance(BAD) {
-                    read_um += probe.sign() * probe.uniform(10.0, 60.0);
-                }
+                read_um = read(um + zero_um + drift_um, &mut probe);
             }
             let mut check_um = f64::NAN;
             if probed.contains(&row) {
@@ -172,15 +161,11 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
                     Kind::Axis => part * SLOPE_UM_PER_M_PER_C * x_mm / 1000.0,
                 };
                 let warm_c = lagged_c.unwrap_or(hot_c);
-                let effects = [
-                    per_c * (1.0 - 1.0 / part) * (warm_c - 20.0),
-                    per_c * (1.0 - shown) * (warm_c - air_c),
-                    step_um,
-                ];
-                for (index, event) in year.events.iter_mut().enumerate() {
-                    if day >= days_at[index] {
-                        event.effect_um.push(effects[index]);
-                    }
+                let constant_um = per_c * (1.0 - 1.0 / part) * (warm_c - 20.0);
+                let effects = [constant_um, per_c * (1.0 - shown) * (warm_c - air_c), step_um];
+                let events = year.events.iter_mut().zip(days_at).zip(effects);
+                for ((event, _), effect_um) in events.filter(|((_, since), _)| day >= *since) {
+                    event.effect_um.push(effect_um);
                 }
             }
             if happens.checks && day >= next_check && row == 2 {
@@ -188,17 +173,7 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
                 next_check = day + 28;
             }
             table.push("time_s", 0, time_s);
-            match kind {
-                Kind::Spindle => {
-                    table.push("temp_front_c", 2, shown_c);
-                    table.push("temp_column_c", 2, column);
-                }
-                Kind::Axis => {
-                    table.push("temp_screw_c", 2, shown_c);
-                    table.push("x_mm", 0, x_mm);
-                    table.push("dir_x", 0, direction);
-                }
-            }
+            push_inputs(&mut table, kind, [shown_c, column], [x_mm, direction]);
             table.push("temp_air_c", 2, hundredth(air_c));
             if happens.checks {
                 table.push("check_um", 2, check_um);
@@ -209,6 +184,36 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
         year.days.push(Day { csv: table.to_csv(), truth_um });
     }
     year
+}
+
+/// Reads a value as a probe does: with noise, and badly now and then.
+fn read(um: f64, probe: &mut Stream) -> f64 {
+    let read_um = um + NOISE_UM * probe.normal();
+    if probe.chance(BAD) { read_um + probe.sign() * probe.uniform(10.0, 60.0) } else { read_um }
+}
+
+/// Returns the events of the year at these times.
+fn planted(at: [f64; 3], sizes: [f64; 3]) -> Vec<Planted> {
+    let names = ["constant-changed", "thermometer-moved", "zero-step"];
+    let all = names.into_iter().zip(at).zip(sizes);
+    all.map(|((name, at_s), size)| Planted { name, at_s, size, effect_um: Vec::new() }).collect()
+}
+
+/// Writes what the law of the kind reads: the two temperatures of a spindle; temperature, position and direction of an axis.
+fn push_inputs(table: &mut RunTable, kind: Kind, temperatures_c: [f64; 2], position: [f64; 2]) {
+    let [shown_c, column_c] = temperatures_c;
+    let [x_mm, direction] = position;
+    match kind {
+        Kind::Spindle => {
+            table.push("temp_front_c", 2, shown_c);
+            table.push("temp_column_c", 2, column_c);
+        }
+        Kind::Axis => {
+            table.push("temp_screw_c", 2, shown_c);
+            table.push("x_mm", 0, x_mm);
+            table.push("dir_x", 0, direction);
+        }
+    }
 }
 
 fn machine(kind: Kind) -> String {

@@ -81,6 +81,34 @@ const SETTLED: u32 = 2;
 /// A reading comes within so many seconds of the one before.
 const PATIENCE_S: u64 = 30;
 
+/// Reads a row: what the template does not give comes from the machine and its instruments.
+fn read<'n>(
+    machine: &mut Machine,
+    instruments: &mut BTreeMap<&'n str, Instrument>,
+    (names, row): (&[&'n str], &str),
+    began_s: f64,
+    [x, y, z]: [f64; 3],
+) -> Option<Vec<String>> {
+    let time_s = machine.time_s();
+    let errors = machine.tip_error_um();
+    let elongation_um = machine.elongation_um();
+    let temperatures: Vec<(String, f64)> =
+        machine.temperatures_c().into_iter().map(|(name, c)| (name.into(), c)).collect();
+    let cells = names.iter().zip(row.split(',')).map(|(name, cell)| {
+        let value = match *name {
+            "time_s" => time_s - began_s,
+            "measured_elongation_um" => instruments.get_mut(name)?.read(time_s, elongation_um, 0.0),
+            "measured_dx_um" => instruments.get_mut(name)?.read(time_s, errors[0], x),
+            "measured_dy_um" => instruments.get_mut(name)?.read(time_s, errors[1], y),
+            "measured_dz_um" => instruments.get_mut(name)?.read(time_s, errors[2], z),
+            _ if !cell.is_empty() => return Some(cell.to_string()),
+            other => temperatures.iter().find(|(name, _)| name == other)?.1,
+        };
+        Some(value.to_string())
+    });
+    cells.collect()
+}
+
 /// What LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
 /// `factor` seconds of the machine.
 fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
@@ -136,26 +164,8 @@ fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Resu
             (0..3).all(is_at) && stood == SETTLED
         };
         if is_there {
-            let time_s = machine.time_s();
-            let errors = machine.tip_error_um();
-            let elongation_um = machine.elongation_um();
-            let temperatures: Vec<(String, f64)> =
-                machine.temperatures_c().into_iter().map(|(name, c)| (name.into(), c)).collect();
-            let cells = names.iter().zip(row.split(',')).map(|(name, cell)| {
-                let value = match *name {
-                    "time_s" => time_s - began_s.unwrap_or(0.0),
-                    "measured_elongation_um" => {
-                        instruments.get_mut(name)?.read(time_s, elongation_um, 0.0)
-                    }
-                    "measured_dx_um" => instruments.get_mut(name)?.read(time_s, errors[0], x),
-                    "measured_dy_um" => instruments.get_mut(name)?.read(time_s, errors[1], y),
-                    "measured_dz_um" => instruments.get_mut(name)?.read(time_s, errors[2], z),
-                    _ if !cell.is_empty() => return Some(cell.to_string()),
-                    other => temperatures.iter().find(|(name, _)| name == other)?.1,
-                };
-                Some(value.to_string())
-            });
-            let cells: Option<Vec<String>> = cells.collect();
+            let began_s = began_s.unwrap_or(0.0);
+            let cells = read(&mut machine, &mut instruments, (&names, row), began_s, position_mm);
             filled += &(cells.context("a column that the machine does not have")?.join(",") + "\n");
             next = rows.next();
             silent_s = 0.0;

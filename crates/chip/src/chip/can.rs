@@ -205,49 +205,14 @@ impl Chip {
     }
 
     pub(crate) fn can_write(&mut self, off: u32, v: u32) {
-        let now = self.now;
         match off {
-            0x00 => {
-                if v & 0x8000 != 0 {
-                    self.can = Can::reset();
-                    return;
-                }
-                let old = self.can.mcr;
-                self.can.mcr = self.set("CAN_MCR", old, v, 0x0001_80ff);
-                if (self.can.mcr ^ old) & 3 != 0 {
-                    // Into a mode at once if the bus is quiet; out of it after 11 recessive bits, off the bus
-                    // after 128 times as many.
-                    let wait = if v & 1 != 0 && old & 1 == 0 {
-                        let frame_ends =
-                            if self.can.end_at == NEVER { now } else { self.can.end_at };
-                        frame_ends.max(now) - now
-                    } else {
-                        self.can_recessive()
-                    };
-                    self.can.mode_at = now + wait.max(self.pclk1 * 4);
-                }
-            }
+            0x00 => self.can_control(v),
             0x04 => {
                 if v & 4 != 0 {
                     self.can.erri = false;
                 }
             }
-            0x08 => {
-                for i in 0..3 {
-                    let f = v >> (8 * i);
-                    if f & 1 != 0 {
-                        self.can.mb[i].flags = 0;
-                    }
-                    if f & 0x80 != 0
-                        && self.can.mb[i].pending
-                        && !matches!(self.can.current, Some((Sender::Board(n), _)) if n == i)
-                    {
-                        self.can.mb[i].pending = false;
-                        self.can.mb[i].flags = 1;
-                    }
-                }
-                self.can_start();
-            }
+            0x08 => self.can_abort(v),
             0x0c | 0x10 => {
                 let f = (off as usize - 0x0c) / 4;
                 if v & 8 != 0 {
@@ -262,67 +227,8 @@ impl Chip {
             }
             0x14 => self.can.ier = self.set("CAN_IER", self.can.ier, v, 0x0003_8f7f),
             0x18 => self.can.lec = v >> 4 & 7,
-            0x1c => {
-                if !self.can.inak {
-                    return self.violation("CAN_BTR written outside initialization".into());
-                }
-                self.can.btr = self.set("CAN_BTR", self.can.btr, v, 0xc37f_03ff);
-                let (brp, t1, t2) = self.can.quanta();
-                let hz = TPS as f64 / self.can_bit() as f64;
-                let sjw = (v >> 24 & 3) + 1;
-                self.say(
-                    Grade::Fact,
-                    format!(
-                        "CAN: {hz:.0} bit/s, sample point {:.1} %, {} quanta, SJW {sjw}{}{}",
-                        100.0 * (1 + t1) as f64 / (1 + t1 + t2) as f64,
-                        1 + t1 + t2,
-                        if v >> 31 != 0 { ", silent" } else { "" },
-                        if v >> 30 & 1 != 0 { ", loop-back" } else { "" }
-                    ),
-                );
-                if u64::from(sjw) > t2 {
-                    self.violation(format!(
-                        "CAN: SJW {sjw} is longer than the second segment, {t2}"
-                    ));
-                }
-                let _ = brp;
-            }
-            0x180..=0x1ac => {
-                let i = (off as usize - 0x180) / 16;
-                if self.can.mb[i].pending {
-                    return self
-                        .violation(format!("CAN: mailbox {i} written while it waits to be sent"));
-                }
-                let m = &mut self.can.mb[i];
-                match (off - 0x180) % 16 / 4 {
-                    1 => m.tdtr = v & 0xffff_010f,
-                    2 => m.tdlr = v,
-                    3 => m.tdhr = v,
-                    _ => {
-                        m.tir = v & !1;
-                        if v & 1 != 0 {
-                            self.can.orders += 1;
-                            let m = &mut self.can.mb[i];
-                            (m.pending, m.order, m.asked, m.flags) =
-                                (true, self.can.orders, now, 0);
-                            self.can.last_code = i as u32;
-                            if m.tdtr & 15 > 8 {
-                                self.violation(format!(
-                                    "CAN: mailbox {i} with DLC {}",
-                                    self.can.mb[i].tdtr & 15
-                                ));
-                            }
-                            if self.can.inak || self.can.slak {
-                                self.say(
-                                    Grade::Remark,
-                                    "CAN: a frame asked for outside normal mode: it waits".into(),
-                                );
-                            }
-                            self.can_start();
-                        }
-                    }
-                }
-            }
+            0x1c => self.can_timing(v),
+            0x180..=0x1ac => self.can_mailbox(off, v),
             0x200 => self.can.fmr = v & 0x3f01 | 0x2a1c_0000,
             0x204 | 0x20c | 0x214 if self.can.fmr & 1 == 0 => self.violation(format!(
                 "CAN: filter register {off:#x} written outside filter initialization"
@@ -341,6 +247,108 @@ impl Chip {
                 self.can.filters[bank][(off as usize - 0x240) % 8 / 4] = v;
             }
             _ => self.violation(format!("CAN: write at the reserved offset {off:#x}")),
+        }
+    }
+
+    /// Writes CAN_MCR: mode requests and reset.
+    fn can_control(&mut self, v: u32) {
+        let now = self.now;
+        if v & 0x8000 != 0 {
+            self.can = Can::reset();
+            return;
+        }
+        let old = self.can.mcr;
+        self.can.mcr = self.set("CAN_MCR", old, v, 0x0001_80ff);
+        if (self.can.mcr ^ old) & 3 != 0 {
+            // Into a mode at once if the bus is quiet; out of it after 11 recessive bits, off the bus
+            // after 128 times as many.
+            let wait = if v & 1 != 0 && old & 1 == 0 {
+                let frame_ends = if self.can.end_at == NEVER { now } else { self.can.end_at };
+                frame_ends.max(now) - now
+            } else {
+                self.can_recessive()
+            };
+            self.can.mode_at = now + wait.max(self.pclk1 * 4);
+        }
+    }
+
+    /// Writes CAN_TSR: clears what is done and aborts what waits.
+    fn can_abort(&mut self, v: u32) {
+        for i in 0..3 {
+            let f = v >> (8 * i);
+            if f & 1 != 0 {
+                self.can.mb[i].flags = 0;
+            }
+            if f & 0x80 != 0
+                && self.can.mb[i].pending
+                && !matches!(self.can.current, Some((Sender::Board(n), _)) if n == i)
+            {
+                self.can.mb[i].pending = false;
+                self.can.mb[i].flags = 1;
+            }
+        }
+        self.can_start();
+    }
+
+    /// Writes CAN_BTR, and says which bit timing that is.
+    fn can_timing(&mut self, v: u32) {
+        if !self.can.inak {
+            return self.violation("CAN_BTR written outside initialization".into());
+        }
+        self.can.btr = self.set("CAN_BTR", self.can.btr, v, 0xc37f_03ff);
+        let (brp, t1, t2) = self.can.quanta();
+        let hz = TPS as f64 / self.can_bit() as f64;
+        let sjw = (v >> 24 & 3) + 1;
+        self.say(
+            Grade::Fact,
+            format!(
+                "CAN: {hz:.0} bit/s, sample point {:.1} %, {} quanta, SJW {sjw}{}{}",
+                100.0 * (1 + t1) as f64 / (1 + t1 + t2) as f64,
+                1 + t1 + t2,
+                if v >> 31 != 0 { ", silent" } else { "" },
+                if v >> 30 & 1 != 0 { ", loop-back" } else { "" }
+            ),
+        );
+        if u64::from(sjw) > t2 {
+            self.violation(format!("CAN: SJW {sjw} is longer than the second segment, {t2}"));
+        }
+        let _ = brp;
+    }
+
+    /// Writes a register of a transmit mailbox.
+    fn can_mailbox(&mut self, off: u32, v: u32) {
+        let now = self.now;
+        let i = (off as usize - 0x180) / 16;
+        if self.can.mb[i].pending {
+            return self.violation(format!("CAN: mailbox {i} written while it waits to be sent"));
+        }
+        let m = &mut self.can.mb[i];
+        match (off - 0x180) % 16 / 4 {
+            1 => m.tdtr = v & 0xffff_010f,
+            2 => m.tdlr = v,
+            3 => m.tdhr = v,
+            _ => {
+                m.tir = v & !1;
+                if v & 1 != 0 {
+                    self.can.orders += 1;
+                    let m = &mut self.can.mb[i];
+                    (m.pending, m.order, m.asked, m.flags) = (true, self.can.orders, now, 0);
+                    self.can.last_code = i as u32;
+                    if m.tdtr & 15 > 8 {
+                        self.violation(format!(
+                            "CAN: mailbox {i} with DLC {}",
+                            self.can.mb[i].tdtr & 15
+                        ));
+                    }
+                    if self.can.inak || self.can.slak {
+                        self.say(
+                            Grade::Remark,
+                            "CAN: a frame asked for outside normal mode: it waits".into(),
+                        );
+                    }
+                    self.can_start();
+                }
+            }
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::Chip;
 use crate::{
     frame::{Frame, crc, protected},
+    script::Script,
     time::us,
 };
 
@@ -11,6 +12,11 @@ fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len() / 2)
         .map(|i| u8::from_str_radix(&hex[2 * i..2 * i + 2], 16).expect("hex"))
         .collect()
+}
+
+/// The number that is word `i` of a line.
+fn number(words: &[String], i: usize) -> f64 {
+    words.get(i).and_then(|word| word.parse().ok()).unwrap_or_else(|| panic!("script: {words:?}"))
 }
 
 impl Chip {
@@ -44,111 +50,125 @@ impl Chip {
         let Some(mut s) = self.world.script.take() else { return };
         while s.lines.front().is_some_and(|l| l.0 <= now) {
             let (at, words) = s.lines.pop_front().unwrap();
-            let number = |i: usize| -> f64 {
-                words
-                    .get(i)
-                    .and_then(|w| w.parse().ok())
-                    .unwrap_or_else(|| panic!("script: {words:?}"))
-            };
-            match words[0].as_str() {
-                "flags" => s.flags = number(1) as u8,
-                "control" => s.period = number(1) as u64,
-                "damage" => s.damage = words[1].clone(),
-                "flags2" => s.flags2 = number(1) as u8,
-                "control2" => s.period2 = number(1) as u64,
-                "counter2" => s.counter2 = (number(1) as u8).wrapping_sub(1),
-                "rpm" => s.rpm = number(1) as u16,
-                "spindle" => s.spindle = number(1) != 0.0,
-                "positions" => s.positions = number(1) as u64,
-                "feed" => s.feed = number(1),
-                "jump" => s.jump = number(1) != 0.0,
-                "code" => {
-                    s.code = number(1);
-                    s.slope = 0.0;
-                    s.chatter = None
-                }
-                "slope" => {
-                    s.slope = number(1);
-                    s.since = now
-                }
-                "pattern" => {
-                    s.pattern = words[1..].iter().map(|w| w.parse().expect("a code")).collect()
-                }
-                "noise" => s.noise = number(1),
-                "chatter" => s.chatter = Some(number(1)),
-                "spike" => s.spike = number(1),
-                "rtd" => {
-                    self.world.rtds[number(1) as usize].celsius = match words[2].as_str() {
-                        "open" => None,
-                        // As few ohms as there can be.
-                        "short" => Some(-242.0),
-                        t => Some(t.parse().expect("a temperature")),
-                    }
-                }
-                "supply" => self.world.supply = number(1),
-                "input" => self.world.inputs[number(1) as usize] = number(2),
-                "adc_stall" => self.faults.adc_stalls = now,
-                "flood" => s.flood = (words[1].clone(), number(2) as u64),
-                "serial_flood" => {
-                    // Bytes a millisecond; none: as fast as the line.
-                    s.serial_rate = words.get(2).map_or(0, |_| number(2) as usize);
-                    s.serial = match words[1].as_str() {
-                        "off" => Vec::new(),
-                        t => t.replace("\\r", "\r").into_bytes(),
-                    };
-                }
-                "say" => self.world.wires[0]
-                    .to_board
-                    .extend(words[1].replace("\\r", "\r").bytes().map(|b| (at.max(now), b))),
-                "modbus" => {
-                    let bytes = bytes(&words[1]);
-                    self.world.wires[1].to_board.extend(bytes.iter().map(|b| (at.max(now), *b)));
-                }
-                "frame" => {
-                    let id = u32::from_str_radix(&words[1], 16).expect("hex");
-                    self.world.put(now, Frame::new(id, &bytes(&words[2])));
-                }
-                "alone" => self.faults.can_alone = number(1) != 0.0,
-                "short" => self.faults.can_short = number(1) != 0.0,
-                "stuck" => {
-                    let on = number(1) != 0.0;
-                    (self.faults.can_stuck, self.faults.can_short) = (on, on);
-                    if !on {
-                        self.can_quiet();
-                    }
-                }
-                "hse" => {
-                    if number(1) == 0.0 {
-                        self.hse_stop()
-                    } else {
-                        self.faults.hse_dead = false
-                    }
-                }
-                "lse" => self.lse(number(1) != 0.0),
-                "cut" => s.cut_in = number(1) as u64,
-                // As `reset`, if no `cut` has come before it.
-                "reset_if_uncut" if s.cut_in == 0 => {}
-                "reset" | "reset_if_uncut" => {
-                    let (cause, why) = match words[1].as_str() {
-                        "power" => (1 << 27 | 1 << 26 | 1 << 25, "power"),
-                        "pin" => (1 << 26, "pin"),
-                        "watchdog" => (1 << 29 | 1 << 26, "watchdog (forced)"),
-                        // 7.3.21: the brown-out sets BORRSTF alone beside the pin's.
-                        "brown_out" => (1 << 26 | 1 << 25, "brown-out"),
-                        _ => (1 << 28 | 1 << 26, "software (forced)"),
-                    };
-                    let seed = s.random();
-                    s.cut_in = 0;
-                    self.cut(seed);
-                    if why == "power" {
-                        self.lose_memory(seed, words.get(2).map_or(0, |_| number(2) as u64));
-                    }
-                    self.want_reset(cause, why);
-                }
-                _ if self.upset(&words) => {}
-                _ => panic!("script: {words:?}"),
-            }
+            self.script_line(&mut s, at, &words);
         }
+        self.script_control(&mut s, n);
+        self.script_positions(&mut s, n);
+        self.script_flood(&mut s);
+        self.script_serial(&mut s);
+        self.world.script = Some(s);
+    }
+
+    /// A line whose time has come.
+    fn script_line(&mut self, s: &mut Script, at: u64, words: &[String]) {
+        let now = self.now;
+        let number = |i: usize| number(words, i);
+        match words[0].as_str() {
+            "flags" => s.flags = number(1) as u8,
+            "control" => s.period = number(1) as u64,
+            "damage" => s.damage = words[1].clone(),
+            "flags2" => s.flags2 = number(1) as u8,
+            "control2" => s.period2 = number(1) as u64,
+            "counter2" => s.counter2 = (number(1) as u8).wrapping_sub(1),
+            "rpm" => s.rpm = number(1) as u16,
+            "spindle" => s.spindle = number(1) != 0.0,
+            "positions" => s.positions = number(1) as u64,
+            "feed" => s.feed = number(1),
+            "jump" => s.jump = number(1) != 0.0,
+            "code" => {
+                s.code = number(1);
+                s.slope = 0.0;
+                s.chatter = None
+            }
+            "slope" => {
+                s.slope = number(1);
+                s.since = now
+            }
+            "pattern" => {
+                s.pattern = words[1..].iter().map(|w| w.parse().expect("a code")).collect()
+            }
+            "noise" => s.noise = number(1),
+            "chatter" => s.chatter = Some(number(1)),
+            "spike" => s.spike = number(1),
+            "rtd" => {
+                self.world.rtds[number(1) as usize].celsius = match words[2].as_str() {
+                    "open" => None,
+                    // As few ohms as there can be.
+                    "short" => Some(-242.0),
+                    t => Some(t.parse().expect("a temperature")),
+                }
+            }
+            "supply" => self.world.supply = number(1),
+            "input" => self.world.inputs[number(1) as usize] = number(2),
+            "adc_stall" => self.faults.adc_stalls = now,
+            "flood" => s.flood = (words[1].clone(), number(2) as u64),
+            "serial_flood" => {
+                // Bytes a millisecond; none: as fast as the line.
+                s.serial_rate = words.get(2).map_or(0, |_| number(2) as usize);
+                s.serial = match words[1].as_str() {
+                    "off" => Vec::new(),
+                    t => t.replace("\\r", "\r").into_bytes(),
+                };
+            }
+            "say" => self.world.wires[0]
+                .to_board
+                .extend(words[1].replace("\\r", "\r").bytes().map(|b| (at.max(now), b))),
+            "modbus" => {
+                let bytes = bytes(&words[1]);
+                self.world.wires[1].to_board.extend(bytes.iter().map(|b| (at.max(now), *b)));
+            }
+            "frame" => {
+                let id = u32::from_str_radix(&words[1], 16).expect("hex");
+                self.world.put(now, Frame::new(id, &bytes(&words[2])));
+            }
+            "alone" => self.faults.can_alone = number(1) != 0.0,
+            "short" => self.faults.can_short = number(1) != 0.0,
+            "stuck" => {
+                let on = number(1) != 0.0;
+                (self.faults.can_stuck, self.faults.can_short) = (on, on);
+                if !on {
+                    self.can_quiet();
+                }
+            }
+            "hse" => {
+                if number(1) == 0.0 {
+                    self.hse_stop()
+                } else {
+                    self.faults.hse_dead = false
+                }
+            }
+            "lse" => self.lse(number(1) != 0.0),
+            "cut" => s.cut_in = number(1) as u64,
+            // As `reset`, if no `cut` has come before it.
+            "reset_if_uncut" if s.cut_in == 0 => {}
+            "reset" | "reset_if_uncut" => self.script_reset(s, words),
+            _ if self.upset(words) => {}
+            _ => panic!("script: {words:?}"),
+        }
+    }
+
+    /// Resets the board, as `power`, `pin`, `watchdog`, `brown_out` or by software.
+    fn script_reset(&mut self, s: &mut Script, words: &[String]) {
+        let (cause, why) = match words[1].as_str() {
+            "power" => (1 << 27 | 1 << 26 | 1 << 25, "power"),
+            "pin" => (1 << 26, "pin"),
+            "watchdog" => (1 << 29 | 1 << 26, "watchdog (forced)"),
+            // 7.3.21: the brown-out sets BORRSTF alone beside the pin's.
+            "brown_out" => (1 << 26 | 1 << 25, "brown-out"),
+            _ => (1 << 28 | 1 << 26, "software (forced)"),
+        };
+        let seed = s.random();
+        s.cut_in = 0;
+        self.cut(seed);
+        if why == "power" {
+            self.lose_memory(seed, words.get(2).map_or(0, |_| number(words, 2) as u64));
+        }
+        self.want_reset(cause, why);
+    }
+
+    /// The CNC's own commands, whole or damaged, and those of a second master.
+    fn script_control(&mut self, s: &mut Script, n: u64) {
+        let now = self.now;
         if s.period > 0 && n.is_multiple_of(s.period) {
             let body = [s.flags];
             match s.damage.as_str() {
@@ -173,6 +193,11 @@ impl Chip {
             s.counter2 = s.counter2.wrapping_add(1);
             self.world.put(now, protected(0x302, s.counter2, &[s.flags2]));
         }
+    }
+
+    /// Speed and positions.
+    fn script_positions(&mut self, s: &mut Script, n: u64) {
+        let now = self.now;
         if s.spindle && n % 20 == 10 {
             let rpm = s.rpm.to_le_bytes();
             self.world.put(now + us(30), protected(0x202, (n / 20) as u8, &[rpm[0], rpm[1], 0, 0]));
@@ -195,6 +220,11 @@ impl Chip {
                 );
             }
         }
+    }
+
+    /// Frames of strangers.
+    fn script_flood(&mut self, s: &mut Script) {
+        let now = self.now;
         for i in 0..s.flood.1 {
             let r = s.random();
             let data = (r ^ r.rotate_left(23)).to_le_bytes();
@@ -229,6 +259,11 @@ impl Chip {
                 self.world.put(now + us(100 * i), f);
             }
         }
+    }
+
+    /// Bytes on the serial line, whoever has sent them.
+    fn script_serial(&mut self, s: &mut Script) {
+        let now = self.now;
         if !s.serial.is_empty() {
             let most = if s.serial_rate > 0 {
                 self.world.wires[0].to_board.len() + s.serial_rate
@@ -244,6 +279,5 @@ impl Chip {
                 self.world.wires[0].to_board.extend(bytes.into_iter().map(|b| (now, b)));
             }
         }
-        self.world.script = Some(s);
     }
 }

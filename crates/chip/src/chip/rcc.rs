@@ -213,45 +213,7 @@ impl Chip {
     pub(crate) fn rcc_write(&mut self, off: u32, v: u32) {
         let now = self.now;
         match off {
-            0x00 => {
-                let ready = 1 << 1 | 0xff00 | 1 << 17 | 1 << 25 | 1 << 27;
-                let old = self.rcc.cr;
-                let v = self.set("RCC_CR", old, v & !ready | old & ready, 0x050d_00f9);
-                self.rcc.cr = v;
-                let on = |bit: u32| (!old & v) >> bit & 1 != 0;
-                let off = |bit: u32| (old & !v) >> bit & 1 != 0;
-                let sws = self.rcc.cfgr >> 2 & 3;
-                if on(16) && !self.faults.hse_dead {
-                    self.rcc.hse_at = now + ms(2);
-                }
-                if off(16) {
-                    if sws == 1 || (sws == 2 && self.rcc.pllcfgr & 1 << 22 != 0) {
-                        self.violation("RCC_CR: HSEON cleared while the system runs on it".into());
-                        self.rcc.cr |= 1 << 16;
-                    } else {
-                        self.rcc.cr &= !(1 << 17);
-                        self.rcc.hse_at = NEVER;
-                    }
-                }
-                if on(24) {
-                    let source = if self.rcc.pllcfgr & 1 << 22 != 0 { 17 } else { 1 };
-                    if v >> source & 1 == 0 {
-                        self.violation("RCC_CR: PLLON set before its source is ready".into());
-                    } else if !self.faults.pll_dead {
-                        self.rcc.pll_at = now + us(150);
-                    }
-                }
-                if off(24) {
-                    if sws == 2 {
-                        self.violation("RCC_CR: PLLON cleared while the system runs on it".into());
-                        self.rcc.cr |= 1 << 24;
-                    } else {
-                        self.rcc.cr &= !(1 << 25);
-                        self.rcc.pll_at = NEVER;
-                    }
-                }
-                self.rcc.cr = if v & 1 != 0 { self.rcc.cr | 2 } else { self.rcc.cr & !2 };
-            }
+            0x00 => self.rcc_control(v),
             0x04 => {
                 if self.rcc.cr & 1 << 24 != 0 {
                     self.violation("RCC_PLLCFGR: written while the PLL is on".into());
@@ -339,6 +301,48 @@ impl Chip {
             0x84 => self.rcc.plli2s = v,
             _ => self.violation(format!("RCC: write at the reserved offset {off:#x}")),
         }
+    }
+
+    /// Writes RCC_CR: switches the crystal and the PLL.
+    fn rcc_control(&mut self, v: u32) {
+        let now = self.now;
+        let ready = 1 << 1 | 0xff00 | 1 << 17 | 1 << 25 | 1 << 27;
+        let old = self.rcc.cr;
+        let v = self.set("RCC_CR", old, v & !ready | old & ready, 0x050d_00f9);
+        self.rcc.cr = v;
+        let on = |bit: u32| (!old & v) >> bit & 1 != 0;
+        let off = |bit: u32| (old & !v) >> bit & 1 != 0;
+        let sws = self.rcc.cfgr >> 2 & 3;
+        if on(16) && !self.faults.hse_dead {
+            self.rcc.hse_at = now + ms(2);
+        }
+        if off(16) {
+            if sws == 1 || (sws == 2 && self.rcc.pllcfgr & 1 << 22 != 0) {
+                self.violation("RCC_CR: HSEON cleared while the system runs on it".into());
+                self.rcc.cr |= 1 << 16;
+            } else {
+                self.rcc.cr &= !(1 << 17);
+                self.rcc.hse_at = NEVER;
+            }
+        }
+        if on(24) {
+            let source = if self.rcc.pllcfgr & 1 << 22 != 0 { 17 } else { 1 };
+            if v >> source & 1 == 0 {
+                self.violation("RCC_CR: PLLON set before its source is ready".into());
+            } else if !self.faults.pll_dead {
+                self.rcc.pll_at = now + us(150);
+            }
+        }
+        if off(24) {
+            if sws == 2 {
+                self.violation("RCC_CR: PLLON cleared while the system runs on it".into());
+                self.rcc.cr |= 1 << 24;
+            } else {
+                self.rcc.cr &= !(1 << 25);
+                self.rcc.pll_at = NEVER;
+            }
+        }
+        self.rcc.cr = if v & 1 != 0 { self.rcc.cr | 2 } else { self.rcc.cr & !2 };
     }
 
     pub(crate) fn reset_unit(&mut self, base: u32) {

@@ -293,31 +293,7 @@ impl Chip {
         let masks =
             |r: &str, m: u32, c: &mut Chip, old: u32| c.set(&format!("{name}_{r}"), old, v, m);
         match off {
-            0x00 => {
-                let old = self.tims[i].cr1;
-                let new = masks("CR1", 0x3ff, self, old);
-                let t = &mut self.tims[i];
-                t.freeze(now);
-                t.cr1 = new;
-                if new & !old & 1 != 0 {
-                    t.since = now;
-                }
-                t.thaw(now);
-                if new & 0x70 != 0 {
-                    self.say(Grade::Unmodelled, format!("{name} counts down or centre-aligned"));
-                }
-                if new & !old & 1 != 0 {
-                    let t = &self.tims[i];
-                    let rate = TPS as f64 / (t.step() as f64 * (f64::from(t.arr) + 1.0));
-                    self.say(
-                        Grade::Fact,
-                        format!(
-                            "{name} on: tick {:.3} MHz, period {rate:.4} Hz",
-                            TPS as f64 / t.step() as f64 / 1e6
-                        ),
-                    );
-                }
-            }
+            0x00 => self.tim_control(i, v),
             0x04 => {
                 let o = self.tims[i].cr2;
                 self.tims[i].cr2 = masks("CR2", 0xf8, self, o)
@@ -393,6 +369,35 @@ impl Chip {
                 }
             }
             _ => self.say(Grade::Unmodelled, format!("{name}: write at {off:#x}")),
+        }
+    }
+
+    /// Writes TIMx_CR1: switches the counter, and says at which rate it runs.
+    fn tim_control(&mut self, i: usize, v: u32) {
+        let now = self.now;
+        let name = self.tims[i].name;
+        let old = self.tims[i].cr1;
+        let new = self.set(&format!("{name}_CR1"), old, v, 0x3ff);
+        let t = &mut self.tims[i];
+        t.freeze(now);
+        t.cr1 = new;
+        if new & !old & 1 != 0 {
+            t.since = now;
+        }
+        t.thaw(now);
+        if new & 0x70 != 0 {
+            self.say(Grade::Unmodelled, format!("{name} counts down or centre-aligned"));
+        }
+        if new & !old & 1 != 0 {
+            let t = &self.tims[i];
+            let rate = TPS as f64 / (t.step() as f64 * (f64::from(t.arr) + 1.0));
+            self.say(
+                Grade::Fact,
+                format!(
+                    "{name} on: tick {:.3} MHz, period {rate:.4} Hz",
+                    TPS as f64 / t.step() as f64 / 1e6
+                ),
+            );
         }
     }
 }

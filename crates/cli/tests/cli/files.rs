@@ -329,6 +329,7 @@ fn a_machine_file_and_a_run_file_that_are_exchanged_are_named_in_one_line() {
     for line in [
         "diagnose --machine m.toml --run m.toml --out d",
         "predict --machine m.toml --run m.toml -o out.csv",
+        "compare m.toml run.csv --out d",
         "fit elongation --run m.toml -o out.toml",
         "learn --machine m.toml --run m.toml -o out.toml",
         "trust --machine m.toml --calibrated m.toml --run run.csv",

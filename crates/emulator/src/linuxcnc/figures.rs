@@ -199,6 +199,77 @@ pub struct Curves {
     pub five_axes: ErrorCurve,
 }
 
+/// Computes the least growth while five axes move, in µm.
+fn least_growth_um(five: &[&Cycle]) -> f64 {
+    five.iter().map(|cycle| cycle.growth_um).fold(f64::INFINITY, f64::min)
+}
+
+/// Compares each figure with the least or most that it has to reach.
+fn checks(
+    run: &Run,
+    diagonal: &Across,
+    lag: &Lag,
+    stairs: &[Stair],
+    warm_up: &[&Cycle],
+    five: &[&Cycle],
+) -> Vec<Check> {
+    let whole = |across: &[f64; 3]| across.iter().map(|um| um * um).sum::<f64>().sqrt();
+    let pitch = |of: fn(&Stair) -> f64| range(stairs.iter().map(of));
+    let backlash = |of: fn(&Stair) -> [f64; 2]| {
+        stairs.iter().map(|stair| (of(stair)[1] - of(stair)[0]).abs()).fold(0.0, f64::max)
+    };
+    let change = |of: Of| {
+        let start = of(warm_up[0]);
+        warm_up.iter().map(|cycle| (of(cycle) - start).abs()).fold(0.0, f64::max)
+    };
+    let growth_um = least_growth_um(five);
+    let left_um = five.iter().map(|cycle| length(cycle.with_um)).fold(0.0, f64::max);
+    let [on_z, on_z_now]: [Of; 2] = [|cycle| cycle.without_um[2], |cycle| cycle.with_um[2]];
+    let damaged: f64 = run
+        .errors
+        .iter()
+        .filter(|(name, _)| ["crc-errors", "malformed", "fault"].contains(&name.as_str()))
+        .map(|(_, count)| count)
+        .sum();
+    vec![
+        Check::reduction(
+            "straightness along the diagonal, Z",
+            diagonal.before_um[2],
+            diagonal.after_um[2],
+            95.0,
+        ),
+        Check::reduction(
+            "straightness along the diagonal, X, Y and Z together",
+            whole(&diagonal.before_um),
+            whole(&diagonal.after_um),
+            95.0,
+        ),
+        Check::reduction("growth in two hours of warm-up", change(on_z), change(on_z_now), 97.0),
+        Check::reduction(
+            "pitch on the staircase",
+            pitch(|stair| stair.before_um[0]),
+            pitch(|stair| stair.after_um[0]),
+            90.0,
+        ),
+        Check::reduction(
+            "backlash on the staircase",
+            backlash(|stair| stair.before_um),
+            backlash(|stair| stair.after_um),
+            90.0,
+        ),
+        Check::reduction("growth with five axes in motion", growth_um, left_um, 95.0),
+        Check::most("lag of the offsets at the CNC", lag.mean_ms, "ms", 20.0),
+        Check::most("damaged frames and faults at the CNC", damaged, "", 0.0),
+        Check::most(
+            "largest change of an offset in a servo cycle",
+            largest_step_um(&run.cycles),
+            "um",
+            // The slew limit's share of a millisecond, and the rounding of a count.
+            run.slew_um_per_s * 1e-3 + 0.01,
+        ),
+    ]
+}
+
 impl Figures {
     /// The figures of a run.
     ///
@@ -213,72 +284,14 @@ impl Figures {
         };
         let [before, after] = [part(0, phase::DIAGONAL)?, part(1, phase::DIAGONAL)?];
         let diagonal = Across { before_um: across(&before), after_um: across(&after) };
-        let whole = |across: &[f64; 3]| across.iter().map(|um| um * um).sum::<f64>().sqrt();
         let lag = lag(&after)?;
         let [arc_before, arc_after] = [part(0, phase::ARC)?, part(1, phase::ARC)?];
         let stairs = stairs(&part(0, phase::STAIRS)?, &part(1, phase::STAIRS)?)
             .with_context(|| format!("{} cycles are not recorded", run.account.lost_samples))?;
-        let pitch = |of: fn(&Stair) -> f64| range(stairs.iter().map(of));
-        let backlash = |of: fn(&Stair) -> [f64; 2]| {
-            stairs.iter().map(|stair| (of(stair)[1] - of(stair)[0]).abs()).fold(0.0, f64::max)
-        };
         let warm_up = part(2, phase::WARM_UP)?;
-        let change = |of: Of| {
-            let start = of(warm_up[0]);
-            warm_up.iter().map(|cycle| (of(cycle) - start).abs()).fold(0.0, f64::max)
-        };
         let five = part(2, phase::FIVE_AXES)?;
-        let growth_um = five.iter().map(|cycle| cycle.growth_um).fold(f64::INFINITY, f64::min);
-        let left_um = five.iter().map(|cycle| length(cycle.with_um)).fold(0.0, f64::max);
-        let [on_z, on_z_now]: [Of; 2] = [|cycle| cycle.without_um[2], |cycle| cycle.with_um[2]];
-        let damaged: f64 = run
-            .errors
-            .iter()
-            .filter(|(name, _)| ["crc-errors", "malformed", "fault"].contains(&name.as_str()))
-            .map(|(_, count)| count)
-            .sum();
-        let checks = vec![
-            Check::reduction(
-                "straightness along the diagonal, Z",
-                diagonal.before_um[2],
-                diagonal.after_um[2],
-                95.0,
-            ),
-            Check::reduction(
-                "straightness along the diagonal, X, Y and Z together",
-                whole(&diagonal.before_um),
-                whole(&diagonal.after_um),
-                95.0,
-            ),
-            Check::reduction(
-                "growth in two hours of warm-up",
-                change(on_z),
-                change(on_z_now),
-                97.0,
-            ),
-            Check::reduction(
-                "pitch on the staircase",
-                pitch(|stair| stair.before_um[0]),
-                pitch(|stair| stair.after_um[0]),
-                90.0,
-            ),
-            Check::reduction(
-                "backlash on the staircase",
-                backlash(|stair| stair.before_um),
-                backlash(|stair| stair.after_um),
-                90.0,
-            ),
-            Check::reduction("growth with five axes in motion", growth_um, left_um, 95.0),
-            Check::most("lag of the offsets at the CNC", lag.mean_ms, "ms", 20.0),
-            Check::most("damaged frames and faults at the CNC", damaged, "", 0.0),
-            Check::most(
-                "largest change of an offset in a servo cycle",
-                largest_step_um(&run.cycles),
-                "um",
-                // The slew limit's share of a millisecond, and the rounding of a count.
-                run.slew_um_per_s * 1e-3 + 0.01,
-            ),
-        ];
+        let growth_um = least_growth_um(&five);
+        let checks = checks(run, &diagonal, &lag, &stairs, &warm_up, &five);
         let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.on {
             On::Qemu => [COMPRESSION, 1, adapter::COMPRESSED_STRIDE],
             On::Chip => [1, COMPRESSION, 1],

@@ -122,6 +122,15 @@ fn the_inputs_are_checked() {
                 "5:27",
                 "inputs.sensor.volts_full_scale must be a finite number",
             ),
+        ],
+    );
+}
+
+#[test]
+fn the_thermometers_are_checked() {
+    assert_refused(
+        &format!("{MACHINE}[inputs]\n"),
+        &[
             ("temp_a_c = { kind = \"pt100\" }\n", "5:1", "inputs.temp_a_c.channel is missing"),
             ("temp_a_c = { channel = 0 }\n", "5:1", "inputs.temp_a_c.kind is missing"),
             (

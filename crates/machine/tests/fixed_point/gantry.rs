@@ -132,6 +132,16 @@ pub fn whole_machine(seed: u64) -> String {
             writeln!(text, "forward_um = {}, reverse_um = {} }}", tables[0], tables[1]).unwrap();
         }
     }
+    write_straightness(&mut text, r);
+    writeln!(text, "[squareness]").unwrap();
+    for name in ["x_of_y", "x_of_z", "y_of_x", "y_of_z", "z_of_x", "z_of_y"] {
+        writeln!(text, "{name}_um_per_m = {:?}", r.uniform(-60.0, 60.0)).unwrap();
+    }
+    text
+}
+
+/// Writes the six curves, each of 64 segments.
+fn write_straightness(text: &mut String, r: &mut Random) {
     for (error, along) in AXIS_PAIRS {
         let name = |axis: LinearAxis| ["x", "y", "z"][axis as usize];
         let travel = TRAVEL_MM[along as usize];
@@ -158,11 +168,6 @@ pub fn whole_machine(seed: u64) -> String {
         writeln!(text, "[straightness.{}_of_{}]\norder = 4", name(error), name(along)).unwrap();
         writeln!(text, "knots_mm = {}\ncontrol_um = {}", list(knots), list(control)).unwrap();
     }
-    writeln!(text, "[squareness]").unwrap();
-    for name in ["x_of_y", "x_of_z", "y_of_x", "y_of_z", "z_of_x", "z_of_y"] {
-        writeln!(text, "{name}_um_per_m = {:?}", r.uniform(-60.0, 60.0)).unwrap();
-    }
-    text
 }
 
 pub fn parse(text: &str) -> Machine {

@@ -38,6 +38,41 @@ use trueup_core::{
 
 const POINTS: [[u8; 4]; 3] = [[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0]];
 
+/// A term of each effect.
+fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS] {
+    let scaled = Scaled { mantissa: -7, shift: 11 };
+    let x = Target::Axis(LinearAxis::X);
+    let y = Target::Axis(LinearAxis::Y);
+    let heat = Effect::Heat {
+        channel: 7,
+        smoothing: SmoothingFactor(21),
+        reference: Temperature(-22),
+        per_temperature: scaled,
+    };
+    let reversed = Effect::Reversed { width: Fine(4), gradient: Gradient(-5) };
+    let wave = Effect::Wave { turns: 0x1234_5678_9ABC_DEF0, phase: 7, amplitude: Fine(-8) };
+    let all = [
+        (Target::Elongation, Effect::Offset),
+        (Target::Elongation, Effect::Gain(scaled)),
+        (Target::Elongation, Effect::Curvature(scaled)),
+        (Target::Elongation, Effect::Saturation(Fine(9))),
+        (y, heat),
+        (Target::Elongation, Effect::Time { smoothing: SmoothingFactor(3), amplitude: scaled }),
+        (Target::Elongation, Effect::Speed(scaled)),
+        (Target::Elongation, Effect::Load(scaled)),
+        (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
+        (x, reversed),
+        (x, Effect::Table(pitch)),
+        (x, Effect::Curve { axis: LinearAxis::Y, curve }),
+        (Target::Axis(LinearAxis::Z), wave),
+    ];
+    let mut terms = [None; MAX_TERMS];
+    for (place, (target, effect)) in terms.iter_mut().zip(all) {
+        *place = Some(Term { target, constant: Fine(-6), effect });
+    }
+    terms
+}
+
 /// A calibration with something in every field.
 pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     let piece = Piece {
@@ -84,36 +119,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         smoothing_cooling: SmoothingFactor(6),
         full: 8,
     };
-    let scaled = Scaled { mantissa: -7, shift: 11 };
-    let x = Target::Axis(LinearAxis::X);
-    let y = Target::Axis(LinearAxis::Y);
-    let heat = Effect::Heat {
-        channel: 7,
-        smoothing: SmoothingFactor(21),
-        reference: Temperature(-22),
-        per_temperature: scaled,
-    };
-    let reversed = Effect::Reversed { width: Fine(4), gradient: Gradient(-5) };
-    let wave = Effect::Wave { turns: 0x1234_5678_9ABC_DEF0, phase: 7, amplitude: Fine(-8) };
-    let all = [
-        (Target::Elongation, Effect::Offset),
-        (Target::Elongation, Effect::Gain(scaled)),
-        (Target::Elongation, Effect::Curvature(scaled)),
-        (Target::Elongation, Effect::Saturation(Fine(9))),
-        (y, heat),
-        (Target::Elongation, Effect::Time { smoothing: SmoothingFactor(3), amplitude: scaled }),
-        (Target::Elongation, Effect::Speed(scaled)),
-        (Target::Elongation, Effect::Load(scaled)),
-        (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
-        (x, reversed),
-        (x, Effect::Table(pitch)),
-        (x, Effect::Curve { axis: LinearAxis::Y, curve }),
-        (Target::Axis(LinearAxis::Z), wave),
-    ];
-    let mut terms = [None; MAX_TERMS];
-    for (place, (target, effect)) in terms.iter_mut().zip(all) {
-        *place = Some(Term { target, constant: Fine(-6), effect });
-    }
+    let terms = terms(pitch, curve);
     check(Calibration {
         thermometers: core::array::from_fn(|n| match n {
             2 => Some(Thermometer::Pt100),

@@ -73,6 +73,73 @@ pub(super) struct AxisBench {
     pub runs: Vec<Run>,
 }
 
+/// Whether a cause is among those of the challenge.
+type Has<'a> = dyn Fn(Hidden) -> bool + 'a;
+
+/// Draws the path that shows the causes.
+fn draw_path(has: &Has<'_>, is_warming: bool, stream: &mut Stream) -> Path {
+    if has(Hidden::PreSliding) {
+        Path::Stations
+    } else if is_warming || has(Hidden::PitchError) {
+        Path::Targets
+    } else if [Hidden::PitchPeriodic, Hidden::CrossAxis, Hidden::ReferenceInstrument]
+        .iter()
+        .any(|&cause| has(cause))
+        || stream.chance(0.4)
+    {
+        Path::Anywhere
+    } else {
+        Path::Targets
+    }
+}
+
+/// Drives the path: the training, in one or two runs, and the hold-out.
+fn draw_tables(plan: &Plan, rows: usize, has: &Has<'_>, stream: &mut Stream) -> Vec<RunTable> {
+    let is_continued = has(Hidden::Step) || has(Hidden::Drift) || has(Hidden::DriftByRun);
+    let holdout_rows = (rows / 2).max(200);
+    let mut tables = Vec::new();
+    if is_continued {
+        let whole = plan.drive(rows + holdout_rows, stream);
+        tables.push(part(&whole, 0, rows));
+        tables.push(part(&whole, rows, rows + holdout_rows));
+    } else {
+        let two = has(Hidden::ReferenceInstrument) || stream.chance(0.3);
+        let training = if two { 2 } else { 1 };
+        for _ in 0..training {
+            tables.push(plan.drive(rows / training, stream));
+        }
+        tables.push(plan.drive(holdout_rows, stream));
+    }
+    tables
+}
+
+/// Gives each run the readings of a reference instrument that runs against the axis.
+fn draw_readings(tables: &mut [RunTable], main: usize, travel_mm: [f64; 2], stream: &mut Stream) {
+    // Set up again for each run: the same position is not the same reading.
+    for table in tables {
+        let from_mm = travel_mm[1] + stream.uniform(0.0, 0.3) * (travel_mm[1] - travel_mm[0]);
+        let position = table.column(&format!("{}_mm", AXES[main])).unwrap_or_default();
+        let reading: Vec<f64> = position.iter().map(|mm| from_mm - mm).collect();
+        table.set("instrument_mm", 4, reading);
+    }
+}
+
+/// Gives each cycle a feed, and returns the feeds.
+fn draw_feeds(tables: &mut [RunTable], stream: &mut Stream) -> Vec<f64> {
+    // Each cycle at the next of a few feeds: which comes when has nothing to do with the clock.
+    let slowest = 100.0 * stream.whole(1, 5) as f64;
+    let ratio = stream.uniform(2.5, 5.0);
+    let count = stream.whole(2, 4);
+    let feeds: Vec<f64> =
+        (0..count).map(|n| (slowest * ratio.powi(n as i32) / 10.0).round() * 10.0).collect();
+    for table in tables {
+        let cycles = table.column("run").unwrap_or_default().iter();
+        let feed = cycles.map(|cycle| feeds[*cycle as usize % count]).collect::<Vec<f64>>();
+        table.set("feed_mm_per_min", 0, feed);
+    }
+    feeds
+}
+
 impl AxisBench {
     pub(super) fn draw(is_thermal: bool, causes: &[Hidden], stream: &mut Stream) -> Self {
         let has = |cause| causes.contains(&cause);
@@ -90,19 +157,7 @@ impl AxisBench {
         let start_mm = if stream.chance(0.6) { 0.0 } else { -(length_mm / 2.0).round() };
         let travel_mm = [start_mm, start_mm + length_mm];
 
-        let path = if has(Hidden::PreSliding) {
-            Path::Stations
-        } else if is_warming || has(Hidden::PitchError) {
-            Path::Targets
-        } else if [Hidden::PitchPeriodic, Hidden::CrossAxis, Hidden::ReferenceInstrument]
-            .iter()
-            .any(|&cause| has(cause))
-            || stream.chance(0.4)
-        {
-            Path::Anywhere
-        } else {
-            Path::Targets
-        };
+        let path = draw_path(&has, is_warming, stream);
         let count = if is_thermal { stream.whole(5, 9) } else { stream.whole(10, 30) };
         let step_mm = length_mm / (count - 1) as f64;
         // A table's points are its targets; else they are not quite even, as ISO 230-2 asks.
@@ -159,44 +214,12 @@ impl AxisBench {
             bench.backlash_um = Some(tenth(stream.sign() * stream.uniform(2.0, 12.0)));
         }
 
-        let is_continued = has(Hidden::Step) || has(Hidden::Drift) || has(Hidden::DriftByRun);
-        let holdout_rows = (rows / 2).max(200);
-        let mut tables = Vec::new();
-        if is_continued {
-            let whole = plan.drive(rows + holdout_rows, stream);
-            tables.push(part(&whole, 0, rows));
-            tables.push(part(&whole, rows, rows + holdout_rows));
-        } else {
-            let two = has(Hidden::ReferenceInstrument) || stream.chance(0.3);
-            let training = if two { 2 } else { 1 };
-            for _ in 0..training {
-                tables.push(plan.drive(rows / training, stream));
-            }
-            tables.push(plan.drive(holdout_rows, stream));
-        }
+        let mut tables = draw_tables(&plan, rows, &has, stream);
         if has(Hidden::ReferenceInstrument) {
-            // Set up again for each run: the same position is not the same reading.
-            for table in &mut tables {
-                let from_mm = travel_mm[1] + stream.uniform(0.0, 0.3) * length_mm;
-                let position = table.column(&format!("{}_mm", AXES[main])).unwrap_or_default();
-                let reading: Vec<f64> = position.iter().map(|mm| from_mm - mm).collect();
-                table.set("instrument_mm", 4, reading);
-            }
+            draw_readings(&mut tables, main, travel_mm, stream);
         }
         if has(Hidden::FeedDependentBacklash) {
-            // Each cycle at the next of a few feeds: which comes when has nothing to do with the clock.
-            let slowest = 100.0 * stream.whole(1, 5) as f64;
-            let ratio = stream.uniform(2.5, 5.0);
-            let count = stream.whole(2, 4);
-            let feeds: Vec<f64> = (0..count)
-                .map(|n| (slowest * ratio.powi(n as i32) / 10.0).round() * 10.0)
-                .collect();
-            for table in &mut tables {
-                let cycles = table.column("run").unwrap_or_default().iter();
-                let feed = cycles.map(|cycle| feeds[*cycle as usize % count]).collect::<Vec<f64>>();
-                table.set("feed_mm_per_min", 0, feed);
-            }
-            bench.feeds_mm_per_min = feeds;
+            bench.feeds_mm_per_min = draw_feeds(&mut tables, stream);
         }
         if has(Hidden::DriftByRun) {
             tables = tables.iter().map(|table| without(table, "time_s")).collect();

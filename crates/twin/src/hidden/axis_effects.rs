@@ -14,14 +14,7 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
     let runs = &bench.runs[..];
     let mm = |axis: usize| format!("{}_mm", AXES[axis]);
     let (main_mm, other_mm) = (mm(bench.main), mm(bench.other));
-    let direction = format!("dir_{}", AXES[bench.error]);
-    // The law of position and direction of approach.
-    let along = |law: &dyn Fn(f64, f64) -> f64| {
-        on_each(runs, |run| {
-            let rows = run.column(&main_mm).iter().zip(run.column(&direction));
-            rows.map(|(&mm, &d)| law(mm, d)).collect()
-        })
-    };
+    let along = |law: &dyn Fn(f64, f64) -> f64| along(bench, law);
     let where_reverse = |d: f64| if d < 0.0 { 1.0 } else { 0.0 };
     Some(match cause {
         Hidden::ThermalLag
@@ -36,52 +29,8 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
             linear(cause, "um_per_m", along(&|mm, d| mm / 1000.0 * where_reverse(d)))
         }
         Hidden::FeedDependentBacklash => by_feed(bench, stream),
-        Hidden::PitchError => {
-            let (start_mm, step_mm, count) = bench.grid?;
-            let forward = walk(count, 1.0, stream);
-            let own = walk(count, 0.6, stream);
-            let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
-            let um = along(&|mm, d| {
-                stepped(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)
-            });
-            Shape {
-                at: Box::new(move |factor| {
-                    let scaled = |table: &[f64]| table.iter().map(|um| factor * um).collect();
-                    Named {
-                        parameters: vec![("start_mm", start_mm), ("step_mm", step_mm)],
-                        tables: vec![
-                            ("forward_um", scaled(&forward)),
-                            ("reverse_um", scaled(&reverse)),
-                        ],
-                    }
-                }),
-                ..linear(cause, "", um)
-            }
-        }
-        Hidden::PitchPeriodic => {
-            let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
-            let period_mm = stream.log_uniform(2.0, 20.0_f64.min(length_mm / 6.0));
-            let second = if stream.chance(0.5) { 0.0 } else { stream.uniform(0.2, 0.5) };
-            let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
-            let second_rad = stream.uniform(0.0, std::f64::consts::TAU);
-            let um = along(&|mm, _| {
-                let turns = mm / period_mm;
-                wave(turns, phase_rad) + second * wave(2.0 * turns, second_rad)
-            });
-            Shape {
-                has_sign: false,
-                at: Box::new(move |factor| {
-                    Named::of(&[
-                        ("amplitude_um", factor),
-                        ("period_mm", period_mm),
-                        ("phase_rad", phase_rad),
-                        ("second_amplitude_um", factor * second),
-                        ("second_phase_rad", second_rad),
-                    ])
-                }),
-                ..linear(cause, "", um)
-            }
-        }
+        Hidden::PitchError => pitch_error(bench, stream)?,
+        Hidden::PitchPeriodic => pitch_periodic(bench, stream),
         Hidden::Straightness => {
             let (knots, controls) = bent(bench, stream);
             let um = along(&|mm, _| spline(&knots, &controls, mm));
@@ -111,25 +60,7 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
                 move |factor| tilt_table(&knots, &controls, factor)
             })
         }
-        Hidden::AngularError => {
-            let lever_zero_mm =
-                if stream.chance(0.5) { 0.0 } else { stream.uniform(0.0, 400.0).round() };
-            let origin = ("origin_mm", lever_zero_mm);
-            if stream.chance(0.5) {
-                tilted(cause, bench, &|mm| mm / 1000.0, lever_zero_mm, move |factor| {
-                    Named::of(&[("urad_per_m", factor), origin])
-                })
-            } else {
-                let (knots, controls) = bent(bench, stream);
-                tilted(cause, bench, &|mm| spline(&knots, &controls, mm), lever_zero_mm, {
-                    let (knots, controls) = (knots.clone(), controls.clone());
-                    move |factor| Named {
-                        parameters: vec![origin],
-                        ..tilt_table(&knots, &controls, factor)
-                    }
-                })
-            }
-        }
+        Hidden::AngularError => angular_error(bench, stream),
         Hidden::AxisExpansion => expansion(bench, stream),
         Hidden::Step | Hidden::Drift | Hidden::DriftByRun | Hidden::Outliers => {
             of_any_series(cause, runs, stream)
@@ -137,6 +68,83 @@ pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Op
         // The rest is noise, or belongs to elongations; `Hidden::bases` sends none of them here.
         _ => return None,
     })
+}
+
+/// Computes a law of the position on the main axis, in mm, and the direction of approach in each row of each run.
+fn along(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
+    let main_mm = format!("{}_mm", AXES[bench.main]);
+    let direction = format!("dir_{}", AXES[bench.error]);
+    on_each(&bench.runs, |run| {
+        let rows = run.column(&main_mm).iter().zip(run.column(&direction));
+        rows.map(|(&mm, &d)| law(mm, d)).collect()
+    })
+}
+
+/// An uneven scale or screw, with a table for each direction; `None` where the path has no even targets.
+fn pitch_error(bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
+    let (start_mm, step_mm, count) = bench.grid?;
+    let forward = walk(count, 1.0, stream);
+    let own = walk(count, 0.6, stream);
+    let reverse: Vec<f64> = forward.iter().zip(&own).map(|(f, o)| f + o).collect();
+    let um = along(bench, &|mm, d| {
+        stepped(start_mm, step_mm, if d < 0.0 { &reverse } else { &forward }, mm)
+    });
+    Some(Shape {
+        at: Box::new(move |factor| {
+            let scaled = |table: &[f64]| table.iter().map(|um| factor * um).collect();
+            Named {
+                parameters: vec![("start_mm", start_mm), ("step_mm", step_mm)],
+                tables: vec![("forward_um", scaled(&forward)), ("reverse_um", scaled(&reverse))],
+            }
+        }),
+        ..linear(Hidden::PitchError, "", um)
+    })
+}
+
+/// An error that repeats with each turn or graduation, with its second harmonic.
+fn pitch_periodic(bench: &AxisBench, stream: &mut Stream) -> Shape {
+    let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
+    let period_mm = stream.log_uniform(2.0, 20.0_f64.min(length_mm / 6.0));
+    let second = if stream.chance(0.5) { 0.0 } else { stream.uniform(0.2, 0.5) };
+    let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
+    let second_rad = stream.uniform(0.0, std::f64::consts::TAU);
+    let um = along(bench, &|mm, _| {
+        let turns = mm / period_mm;
+        wave(turns, phase_rad) + second * wave(2.0 * turns, second_rad)
+    });
+    Shape {
+        has_sign: false,
+        at: Box::new(move |factor| {
+            Named::of(&[
+                ("amplitude_um", factor),
+                ("period_mm", period_mm),
+                ("phase_rad", phase_rad),
+                ("second_amplitude_um", factor * second),
+                ("second_phase_rad", second_rad),
+            ])
+        }),
+        ..linear(Hidden::PitchPeriodic, "", um)
+    }
+}
+
+/// An axis that tilts along its way: in proportion to the position, or by a curve.
+fn angular_error(bench: &AxisBench, stream: &mut Stream) -> Shape {
+    let lever_zero_mm = if stream.chance(0.5) { 0.0 } else { stream.uniform(0.0, 400.0).round() };
+    let origin = ("origin_mm", lever_zero_mm);
+    if stream.chance(0.5) {
+        tilted(Hidden::AngularError, bench, &|mm| mm / 1000.0, lever_zero_mm, move |factor| {
+            Named::of(&[("urad_per_m", factor), origin])
+        })
+    } else {
+        let (knots, controls) = bent(bench, stream);
+        tilted(Hidden::AngularError, bench, &|mm| spline(&knots, &controls, mm), lever_zero_mm, {
+            let (knots, controls) = (knots.clone(), controls.clone());
+            move |factor| Named {
+                parameters: vec![origin],
+                ..tilt_table(&knots, &controls, factor)
+            }
+        })
+    }
 }
 
 /// Another width at each feed, wider the faster the axis comes: its friction and its mass take up more.

@@ -16,7 +16,6 @@ fn on_believed(runs: &[Run], law: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {
 /// The shape of `cause` on `bench`; `None` where it is only noise.
 pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option<Shape> {
     let runs = &bench.runs[..];
-    let training = &runs[..runs.len() - 1];
     let first = &runs[0];
     let duration_s = first.column("time_s").last().copied().unwrap_or(0.0);
     Some(match cause {
@@ -31,22 +30,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
             ..linear(cause, "", on_believed(runs, |p| p))
         },
         Hidden::SensorCurvature => linear(cause, "per_um", on_believed(runs, |p| p * p)),
-        Hidden::SensorSaturation => {
-            let exceeded_by = |runs: &[Run], share: f64| {
-                let mut all: Vec<f64> =
-                    runs.iter().flat_map(|run| run.believed_um.clone()).collect();
-                all.sort_by(f64::total_cmp);
-                all[((1.0 - share) * all.len() as f64) as usize]
-            };
-            // Also the hold-out must reach it, else nothing could be gained there.
-            let in_training_um = exceeded_by(training, stream.uniform(0.15, 0.4));
-            let limit_um = in_training_um.min(exceeded_by(&runs[training.len()..], 0.15));
-            fixed(
-                cause,
-                vec![("limit_um", limit_um)],
-                on_believed(runs, |p| (limit_um - p).min(0.0)),
-            )
-        }
+        Hidden::SensorSaturation => saturation(runs, stream),
         Hidden::SensorTemperatureDrift => by_column(cause, runs, "temp_coil_c", 0.0),
         Hidden::TimeShift => {
             let interval_s = duration_s / (first.believed_um.len() - 1) as f64;
@@ -81,18 +65,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
                 if stream.chance(0.33) { 0.0 } else { stream.uniform(300.0, 3000.0).round() };
             by_column(cause, runs, column, lag_s)
         }
-        Hidden::GrowthRate => {
-            let ElongationSource::Warmup(law) = &bench.source else { return None };
-            let other = stream.uniform(1.3, 2.0);
-            let tau_s = law.heating_s() * if stream.chance(0.5) { other } else { 1.0 / other };
-            let cool_s = law.cool_s.unwrap_or(law.heating_s());
-            let um = on_each(runs, |run| {
-                let (time_s, rpm) = (run.column("time_s"), run.column("spindle_rpm"));
-                let h = warmup_heat(time_s, rpm, law.lag_s, tau_s, cool_s);
-                h.iter().zip(&run.believed_um).map(|(h, p)| law.max_um * h - p).collect()
-            });
-            fixed(cause, vec![("time_constant_s", tau_s)], um)
-        }
+        Hidden::GrowthRate => growth_rate(bench, stream)?,
         Hidden::CentrifugalGrowth => linear(
             cause,
             "um_per_krpm2",
@@ -110,25 +83,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
             )
         },
         Hidden::Dependence => return Some(on_coolant(runs)),
-        Hidden::ReferenceInstrument => {
-            let (low, high) = training
-                .iter()
-                .flat_map(|run| &run.believed_um)
-                .fold((f64::MAX, f64::MIN), |(low, high), &p| (low.min(p), high.max(p)));
-            let period_um = (high - low) / stream.uniform(4.0, 10.0);
-            let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
-            Shape {
-                has_sign: false,
-                at: Box::new(move |factor| {
-                    Named::of(&[
-                        ("amplitude_um", factor),
-                        ("period_um", period_um),
-                        ("phase_rad", phase_rad),
-                    ])
-                }),
-                ..linear(cause, "", on_believed(runs, |p| wave(p / period_um, phase_rad)))
-            }
-        }
+        Hidden::ReferenceInstrument => instrument(runs, stream),
         Hidden::PreloadChange => {
             let above_rpm = (stream.uniform(0.4, 0.65) * bench.max_rpm).round();
             let um = on_each(runs, |run| {
@@ -149,6 +104,58 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
         // The rest belongs to axes; `Hidden::bases` sends none of them here.
         _ => return None,
     })
+}
+
+/// A sensor whose range ends within the growth of the training and of the hold-out.
+fn saturation(runs: &[Run], stream: &mut Stream) -> Shape {
+    let cause = Hidden::SensorSaturation;
+    let training = &runs[..runs.len() - 1];
+    let exceeded_by = |runs: &[Run], share: f64| {
+        let mut all: Vec<f64> = runs.iter().flat_map(|run| run.believed_um.clone()).collect();
+        all.sort_by(f64::total_cmp);
+        all[((1.0 - share) * all.len() as f64) as usize]
+    };
+    // Also the hold-out must reach it, else nothing could be gained there.
+    let in_training_um = exceeded_by(training, stream.uniform(0.15, 0.4));
+    let limit_um = in_training_um.min(exceeded_by(&runs[training.len()..], 0.15));
+    fixed(cause, vec![("limit_um", limit_um)], on_believed(runs, |p| (limit_um - p).min(0.0)))
+}
+
+/// Another time constant than the believed one, longer or shorter; `None` where the growth is no warm-up.
+fn growth_rate(bench: &Bench, stream: &mut Stream) -> Option<Shape> {
+    let ElongationSource::Warmup(law) = &bench.source else { return None };
+    let other = stream.uniform(1.3, 2.0);
+    let tau_s = law.heating_s() * if stream.chance(0.5) { other } else { 1.0 / other };
+    let cool_s = law.cool_s.unwrap_or(law.heating_s());
+    let um = on_each(&bench.runs, |run| {
+        let (time_s, rpm) = (run.column("time_s"), run.column("spindle_rpm"));
+        let h = warmup_heat(time_s, rpm, law.lag_s, tau_s, cool_s);
+        h.iter().zip(&run.believed_um).map(|(h, p)| law.max_um * h - p).collect()
+    });
+    Some(fixed(Hidden::GrowthRate, vec![("time_constant_s", tau_s)], um))
+}
+
+/// A reference instrument whose error repeats over its range.
+fn instrument(runs: &[Run], stream: &mut Stream) -> Shape {
+    let cause = Hidden::ReferenceInstrument;
+    let training = &runs[..runs.len() - 1];
+    let (low, high) = training
+        .iter()
+        .flat_map(|run| &run.believed_um)
+        .fold((f64::MAX, f64::MIN), |(low, high), &p| (low.min(p), high.max(p)));
+    let period_um = (high - low) / stream.uniform(4.0, 10.0);
+    let phase_rad = stream.uniform(0.0, std::f64::consts::TAU);
+    Shape {
+        has_sign: false,
+        at: Box::new(move |factor| {
+            Named::of(&[
+                ("amplitude_um", factor),
+                ("period_um", period_um),
+                ("phase_rad", phase_rad),
+            ])
+        }),
+        ..linear(cause, "", on_believed(runs, |p| wave(p / period_um, phase_rad)))
+    }
 }
 
 /// The shaft bows under its unbalance, and a bowed shaft stands shorter or, as its bearings' balls are

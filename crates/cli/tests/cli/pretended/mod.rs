@@ -119,6 +119,48 @@ fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
     (node, Port::new(0x00A1))
 }
 
+/// A control that wants offsets, and positions of axes that stand.
+fn speak_as_cnc(node: &mut Node<'_>, control: u32, engage: bool) {
+    // As after every start: three times not engaged.
+    let engaged =
+        Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
+    node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
+    // Its axes stand.
+    for axis in LinearAxis::ALL {
+        let stands = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
+        node.hear(Line::Can, &frames::position(stands, control as u8)).expect("in order");
+    }
+}
+
+/// Returns true if the tool has opened its channel a second time.
+fn is_opened_again(heard: &Mutex<ReceivedBytes>) -> bool {
+    let heard = heard.lock().expect("no holder panics");
+    heard.bytes.windows(3).filter(|bytes| bytes == b"\rO\r").count() > 1
+}
+
+/// Takes a calibration that has arrived.
+fn take_load(node: &mut Node<'_>, fault: Fault, stored: &mut Option<Vec<u8>>) {
+    if let Some(mut load) = node.take_load() {
+        let mut outcome = Outcome::Stored;
+        match load.check() {
+            Err(_) => outcome = Outcome::Refused,
+            Ok(_) if fault == Fault::Full => outcome = Outcome::NotStored,
+            Ok(blob) => *stored = Some(blob.to_vec()),
+        }
+        node.end_load(load, outcome);
+    }
+}
+
+/// Whether the line damages this frame.
+fn is_damaged(fault: Fault, frame: &Frame, ms: u32) -> bool {
+    match fault {
+        Fault::Noise => ms % 100 == 99,
+        // A segment that is read: the first byte says which.
+        Fault::Forgetful => frame.id() == SDO_ANSWER_ID && frame.data()[0] == 0x10,
+        _ => false,
+    }
+}
+
 pub fn live(
     mut stream: impl Read + Write,
     fault: Fault,
@@ -177,15 +219,7 @@ pub fn live(
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
             Err(_) => return,
         }
-        if let Some(mut load) = node.take_load() {
-            let mut outcome = Outcome::Stored;
-            match load.check() {
-                Err(_) => outcome = Outcome::Refused,
-                Ok(_) if fault == Fault::Full => outcome = Outcome::NotStored,
-                Ok(blob) => stored = Some(blob.to_vec()),
-            }
-            node.end_load(load, outcome);
-        }
+        take_load(&mut node, fault, &mut stored);
         if node.take_drop() {
             stored = None;
             node.end_drop(true);
@@ -207,22 +241,9 @@ pub fn live(
             }
             control = 0;
         }
-        let is_gone = fault == Fault::CncLeaves && {
-            let heard = heard.lock().expect("nobody panics with it");
-            heard.bytes.windows(3).filter(|bytes| bytes == b"\rO\r").count() > 1
-        };
+        let is_gone = fault == Fault::CncLeaves && is_opened_again(heard);
         if ms % 20 == 0 && !is_gone {
-            let engage = is_engaged();
-            // As after every start: three times not engaged.
-            let engaged =
-                Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
-            node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
-            // Its axes stand.
-            for axis in LinearAxis::ALL {
-                let stands =
-                    AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-                node.hear(Line::Can, &frames::position(stands, control as u8)).expect("in order");
-            }
+            speak_as_cnc(&mut node, control, is_engaged());
             control += 1;
         }
         let speed = Some(Rpm(24_000));
@@ -230,12 +251,7 @@ pub fn live(
         let sent = sent.into_iter().chain(node.service());
         if fault != Fault::NoFrames {
             for frame in &sent.collect::<Vec<_>>() {
-                let flip = match fault {
-                    Fault::Noise => ms % 100 == 99,
-                    // A segment that is read: the first byte says which.
-                    Fault::Forgetful => frame.id() == SDO_ANSWER_ID && frame.data()[0] == 0x10,
-                    _ => false,
-                };
+                let flip = is_damaged(fault, frame, ms);
                 port.send(&if flip { damaged(frame) } else { *frame });
             }
         }
