@@ -84,14 +84,14 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
         let forms = term.effect.on_board();
         // What changes a law of the source is in that law's own part.
         if !forms.is_empty() {
-            let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<f64>();
-            add(format!("term[{index}]"), Some(along * (um + term.constant_um.abs())));
+            let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<Option<f64>>();
+            add(format!("term[{index}]"), um.map(|um| along * (um + term.constant_um.abs())));
         }
     }
     if let Some(tools) = machine.spindle.tools.as_ref().filter(|_| along > 0.0) {
         let forms = growth_by_tool(tools).effect.on_board();
-        let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<f64>();
-        add("spindle.tools".into(), Some(along * um));
+        let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<Option<f64>>();
+        add("spindle.tools".into(), um.map(|um| along * um));
     }
     parts
 }
@@ -104,32 +104,33 @@ pub(super) fn along(machine: &Machine, axis: LinearAxis) -> f64 {
     }
 }
 
-/// What a form can add to the elongation, in µm: by what its source can be, and the rated speed; of a load that
-/// the file does not say nothing.
-fn of_growth_by(machine: &Machine, form: &OnBoard) -> f64 {
+/// Returns what a form can add to the elongation, in µm: by what its source can be, and the rated speed. `None`: by a
+/// speed or a load that the file does not say.
+fn of_growth_by(machine: &Machine, form: &OnBoard) -> Option<f64> {
     let source = machine.spindle.source.map(|source| format!("spindle.{}", source.name()));
     let grown = || {
         let parts = of_elongation(machine);
         let own = parts.into_iter().find(|part| Some(&part.key) == source.as_ref());
         own.and_then(|part| part.largest_um).unwrap_or(0.0)
     };
-    match *form {
+    Some(match *form {
         OnBoard::Gain(gain) => (gain - 1.0).abs() * grown(),
         OnBoard::Curvature(per_um) => per_um.abs() * grown().powi(2),
         OnBoard::Speed(um_per_krpm2) => {
-            um_per_krpm2.abs() * heating(SpeedPower::Second, rated_rpm(machine).unwrap_or(0.0))
+            um_per_krpm2.abs() * heating(SpeedPower::Second, rated_rpm(machine)?)
         }
         OnBoard::Tool { ref times, .. } | OnBoard::Condition { ref times, .. } => {
-            let rated = machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm);
             form.largest_level()
                 * match times {
-                    Times::Speed2 => (rated.unwrap_or(0.0) / 1000.0).powi(2),
+                    Times::Speed2 => heating(SpeedPower::Second, rated_rpm(machine)?),
                     Times::Growth => grown(),
                     _ => 1.0,
                 }
         }
-        ref other => of_form(machine, other, None).unwrap_or(0.0),
-    }
+        // It takes away.
+        OnBoard::Saturation(_) => 0.0,
+        ref other => of_form(machine, other, None)?,
+    })
 }
 
 fn rated_rpm(machine: &Machine) -> Option<f64> {

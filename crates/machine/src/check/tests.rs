@@ -274,6 +274,28 @@ fn a_file_that_corrects_nothing() {
     assert_eq!(told(term), None);
 }
 
+#[test]
+fn growth_with_a_speed_that_the_file_does_not_say_is_not_called_0() {
+    let z_um = |rated: &str, growth: &str| {
+        let text = format!(
+            "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
+             [spindle.warmup]\nlag_s = 60\nwarm_s = 5400\nmax_um = 30\nexponent = 4\n{rated}{growth}"
+        );
+        Summary::of(&parse(&text)).axes[2].largest_um()
+    };
+    let rated = "rated_rpm = 10000\n";
+    let tools = "[spindle.tools]\ndefault = { um_per_krpm2 = 0.02 }\n3 = { um_per_krpm2 = 0.1 }\n";
+    let term = "[[term]]\nquantity = \"elongation\"\ncause = ";
+    let centrifugal = format!("{term}\"centrifugal-growth\"\num_per_krpm2 = 0.1\n");
+    for growth in [tools, &centrifugal] {
+        assert_eq!(z_um("", growth), None, "{growth}");
+        assert!((z_um(rated, growth).expect("known") - 40.0).abs() < 1e-9, "{growth}");
+    }
+    let load = format!("{term}\"cutting-load\"\num_per_n = 0.01\n");
+    assert_eq!(z_um(rated, &load), None);
+    assert_eq!(z_um(rated, &format!("{term}\"sensor-saturation\"\nlimit_um = 20\n")), Some(30.0));
+}
+
 fn told_of_run(text: &str, machine: Option<&Machine>) -> Vec<String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
     super::run(&run, machine).into_iter().map(|it| format!("{}: {}", it.place, it.what)).collect()
