@@ -119,7 +119,14 @@ fn missing(
 fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
     let mut build = cargo::locked("build");
-    build.args(["--release", "--package", "trueup-cli", "--target", target]);
+    build.args(["--release", "--package", "trueup-cli"]);
+    // This computer's own is built once, for the archive and for the package.
+    let is_own = *target == PLATFORMS[0].target;
+    let mut built = root.join("target");
+    if !is_own {
+        build.args(["--target", target]);
+        built.push(target);
+    }
     let variable = target.to_uppercase().replace('-', "_");
     build.env(format!("CARGO_TARGET_{variable}_LINKER"), linker);
     process::run(&mut build)?;
@@ -127,12 +134,11 @@ fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let content = folder.join(&name);
     fs::create_dir_all(&content)?;
     let tool = if *is_windows { "trueup.exe" } else { "trueup" };
-    let built = root.join("target").join(target).join("release").join(tool);
+    let built = built.join("release").join(tool);
     fs::copy(&built, content.join(tool)).with_context(|| built.display().to_string())?;
     for text in ["README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
         fs::copy(root.join(text), content.join(text))?;
     }
-    let is_own = *target == PLATFORMS[0].target;
     if is_own {
         process::output(Command::new(&built).arg("man").arg(content.join("man")))?;
         let script = process::output(Command::new(&built).args(["completions", "bash"]))?;

@@ -3,6 +3,7 @@
 mod comp;
 mod control_tables;
 mod height_map;
+mod refused;
 mod rtl;
 
 use std::path::Path;
@@ -14,6 +15,8 @@ use crate::{
     meaning::{Meaning, Target},
 };
 use trueup_machine::Location;
+
+pub(crate) use refused::refused;
 
 /// Returns the name of the form and its table, where `text` has one of these forms.
 ///

@@ -87,6 +87,9 @@ pub(crate) fn of_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
     let separator = stated.unwrap_or_else(|| likeliest(text));
     let mut rows = split(text, separator, path)?;
     rows.retain(|row| row.line > skipped);
+    if separator == ' ' {
+        join_headers(&mut rows, text);
+    }
     let is_open_ended = !text.ends_with(['\n', '\r']);
     let name = match separator {
         '\t' => "tab".to_string(),
@@ -94,6 +97,44 @@ pub(crate) fn of_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
         other => format!("\"{other}\""),
     };
     Ok(Grid { rows, separator: name, is_by_comma: separator == ',', is_open_ended })
+}
+
+/// Joins cells of text where blanks separate the columns: `Actual value` and `Position [mm]` are one header each. A line
+/// with more cells than the lines of numbers is taken by gaps of two blanks, or with its units behind the words, where
+/// that gives as many cells as they have.
+fn join_headers(rows: &mut [Row], text: &str) {
+    let is_of_numbers = |row: &&Row| {
+        row.cells.len() > 1 && row.cells.iter().all(|cell| looks_like_value(&cell.text()))
+    };
+    let mut counts = std::collections::BTreeMap::new();
+    for row in rows.iter().filter(is_of_numbers) {
+        *counts.entry(row.cells.len()).or_insert(0) += 1;
+    }
+    let Some((&columns, _)) = counts.iter().max_by_key(|(_, count)| **count) else { return };
+    let lines: Vec<&str> = text.lines().collect();
+    for row in rows.iter_mut().filter(|row| row.cells.len() > columns) {
+        let Some(line) = lines.get(row.line - 1) else { continue };
+        let is_unit = |cell: &Cell| cell.text().starts_with(['[', '(']);
+        let gap_before = |cell: &Cell| {
+            line.chars().take(cell.column - 1).collect::<Vec<_>>().ends_with(&[' ', ' '])
+        };
+        let by_gaps = |cell: &Cell| !gap_before(cell);
+        for is_joined in [&by_gaps as &dyn Fn(&Cell) -> bool, &is_unit] {
+            let mut joined: Vec<Cell> = Vec::new();
+            for cell in &row.cells {
+                match joined.last_mut() {
+                    Some(last) if is_joined(cell) => {
+                        last.content = Content::Text(format!("{} {}", last.text(), cell.text()));
+                    }
+                    _ => joined.push(cell.clone()),
+                }
+            }
+            if joined.len() == columns {
+                row.cells = joined;
+                break;
+            }
+        }
+    }
 }
 
 /// Returns the separator of a line `sep=;`.
@@ -295,6 +336,11 @@ mod tests {
             ("a\tb\n1,5\t2,5\n", vec!["a", "b"]),
             ("sep=|\na|b\n1|2\n", vec!["a", "b"]),
             ("a b\n0,0 1,5\n1,0  2,5\n", vec!["a", "b"]),
+            ("Pos [mm] Ist [mm]\n0,0 1,5\n1,0 2,5\n", vec!["Pos [mm]", "Ist [mm]"]),
+            (
+                "No  Setpoint   Actual value\n1   0.0  0.5\n2  1.0    2.5\n",
+                vec!["No", "Setpoint", "Actual value"],
+            ),
             ("a;b, c\n08:15;\"1,5\"\n", vec!["a", "b, c"]),
             ("\"a\nx\";b;;\n1;2;;\n", vec!["a\nx", "b", "", ""]),
         ] {

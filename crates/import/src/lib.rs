@@ -78,6 +78,9 @@ const SAMPLES: usize = 3;
 /// # Errors
 /// [`Refused::Open`]: questions that only the user can answer. [`Refused::Bad`]: the place and the rule broken.
 pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, Refused> {
+    if let Some(error) = forms::refused(bytes, path) {
+        return Err(error.into());
+    }
     let mut form = Vec::new();
     let (layout, is_by_comma) = if workbook::is_workbook(bytes) {
         let grid = workbook::read(bytes, answers.sheet.as_deref(), path)?;
@@ -98,7 +101,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
             }
         }
     };
-    let layout = wide::one_reading_a_row(layout);
+    let layout = wide::one_reading_a_row(layout)?;
     let (decimal, is_of_use) = cells::decimal(&layout, is_by_comma, answers.decimal, path)?;
     if is_of_use {
         form.push(format!("decimal {}", decimal.name()));

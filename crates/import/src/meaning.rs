@@ -277,6 +277,12 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     if is_length && axis.is_some() && is_only_axis {
         return known(&format!("{}_mm", axis.unwrap_or('x')));
     }
+    // `Pos-Nr.` counts, whatever it counts.
+    let is_number =
+        |word: &String| ["nr", "no", "num", "nummer", "number"].contains(&word.as_str());
+    if dimension.is_none() && words.len() > 1 && words.iter().any(is_number) {
+        return Meaning::Nothing;
+    }
     if is_length && has(POSITION) {
         return axis.map_or(Meaning::Position, |axis| known(&format!("{axis}_mm")));
     }
@@ -297,9 +303,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
 pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
     let (mut way, mut run) = (None, None);
     let (mut is_named, mut has_axis, mut is_measured) = (false, false, false);
-    for word in
-        spaced_arrows(name).split([' ', '_', '.', ',', '-', '#']).filter(|word| !word.is_empty())
-    {
+    for word in words_of_pass(name) {
         let letters: String = word.chars().take_while(|c| !c.is_ascii_digit()).collect();
         let digits = &word[letters.len()..];
         if !digits.is_empty() {
@@ -326,6 +330,23 @@ pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
     // `X 1` is a position.
     let is_pass = is_named && (!has_axis || way.is_some() || is_measured);
     (is_pass && (way.is_some() || run.is_some())).then_some((way, run))
+}
+
+/// The words of a header: `Run 2 -` ends with a direction, `Run-2` and `Run 1-3` have a hyphen.
+fn words_of_pass(name: &str) -> Vec<String> {
+    let name = spaced_arrows(&name.replace('\u{2212}', "-"));
+    let mut all = Vec::new();
+    for word in name.split([' ', '_', '.', ',', '#']) {
+        let number = word.trim_end_matches(['+', '-']);
+        let sign = &word[number.len()..];
+        if sign.len() == 1 && number.chars().all(|c| c.is_ascii_digit()) {
+            all.extend([number, sign].map(String::from));
+        } else {
+            all.extend(word.split('-').map(String::from));
+        }
+    }
+    all.retain(|word| !word.is_empty());
+    all
 }
 
 fn spaced_arrows(name: &str) -> String {
@@ -417,6 +438,12 @@ mod tests {
         assert_eq!(repeat("3"), Some((None, Some(3))));
         assert_eq!(repeat("Abw. ↑ 1"), Some((Some(1.0), Some(1))));
         assert_eq!(repeat("Rev2"), Some((Some(-1.0), Some(2))));
+        for (name, way) in
+            [("Run 2 +", 1.0), ("Run 2 -", -1.0), ("2-", -1.0), ("Run 2 \u{2212}", -1.0)]
+        {
+            assert_eq!(repeat(name), Some((Some(way), Some(2))), "{name}");
+        }
+        assert_eq!(repeat("Run-2"), Some((None, Some(2))));
         assert_eq!(repeat("Temperatur 1"), None);
         assert_eq!(repeat("X"), None);
         assert_eq!(repeat("X 1"), None);

@@ -1,5 +1,7 @@
 //! Tables with a column for each pass (`hin 1`, `rück 1`, `hin 2`), as one row for each reading.
 
+use trueup_machine::BadInput;
+
 use crate::{
     grid::{Cell, Content, Row},
     layout::{Layout, Source},
@@ -9,7 +11,10 @@ use crate::{
 
 /// Returns the table with one reading a row, in the order in which it was measured: there, then back. A table that
 /// has no columns of passes stays as it is.
-pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
+///
+/// # Errors
+/// Some of these columns state a direction and others do not.
+pub(crate) fn one_reading_a_row(layout: Layout) -> Result<Layout, BadInput> {
     let is_position = |column: &Source| {
         let parts = meaning::split(&column.header);
         let unit = unit::parse(if column.unit.is_empty() { &parts.unit } else { &column.unit });
@@ -31,11 +36,20 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
     let count = passes.iter().flatten().count();
     let positions = layout.columns.iter().filter(|column| is_position(column)).count();
     if count < 2 || positions != 1 {
-        return layout;
+        return Ok(layout);
     }
     let fixed: Vec<usize> = (0..passes.len()).filter(|at| passes[*at].is_none()).collect();
     let columns: Vec<usize> = (0..passes.len()).filter(|at| passes[*at].is_some()).collect();
-    let has_ways = columns.iter().all(|at| passes[*at].is_some_and(|(way, _)| way.is_some()));
+    let has_way = |at: &usize| passes[*at].is_some_and(|(way, _)| way.is_some());
+    let has_ways = columns.iter().all(has_way);
+    if let Some(silent) =
+        columns.iter().find(|at| !has_way(at)).filter(|_| columns.iter().any(has_way))
+    {
+        let Source { header, place, .. } = &layout.columns[*silent];
+        let rule = format!("{header} states no direction, as other columns of readings do");
+        let help = "Call each by its run and way: `Run 1 +` there, `Run 1 -` back";
+        return Err(BadInput::new(place.clone(), rule).with_help(help));
+    }
     let first = &layout.columns[columns[0]];
     let source = |header: &str, meaning| Source {
         header: header.into(),
@@ -88,5 +102,5 @@ pub(crate) fn one_reading_a_row(layout: Layout) -> Layout {
     notes.push(format!(
         "{count} columns are passes: one reading a row, the way back from the last target"
     ));
-    Layout { columns: sources, rows, notes }
+    Ok(Layout { columns: sources, rows, notes })
 }

@@ -15,7 +15,7 @@ pub(crate) const MEASURED: &str = "abw abweichungen delta messuhr messwert messu
     fehler ablesung ecart erreur comparateur lecture desviacion lectura errore lettura scostamento \
     comparatore comparador dti measured measurement fuehluhr taster feintaster laser elongation \
     laengung dehnung wachstum growth verlagerung displacement dilatation allongement \
-    positionsabweichung";
+    positionsabweichung difference differenz diff";
 /// The growth of a spindle.
 pub(crate) const GROWTH: &str = "elongation laengung dehnung wachstum growth dilatation allongement spindellaengung \
     spindelwachstum spindeldehnung";

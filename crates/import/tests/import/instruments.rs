@@ -175,3 +175,60 @@ fn target_data_of_a_laser_is_runs_with_directions_and_its_units_are_asked() {
         assert!(error.to_string().contains(phrase), "{error}");
     }
 }
+
+#[test]
+fn a_table_of_a_laser_with_a_column_for_each_run_and_way_keeps_the_ways() {
+    // As CARTO lays one out: titles, a row for each target, the ways as signs or words.
+    let signs = "\"Title\",\"linear\"\n\"Axis\",\"X\"\n\nTarget (mm),Run 1 + (µm),Run 1 - (µm),Run 2 + (µm),Run 2 - (µm)\n\
+                 0.0,0.0,1.2,0.1,1.3\n97.3,-1.1,0.3,-1.0,0.2\n201.9,-2.3,-0.9,-2.2,-1.0\n";
+    let words = signs.replace(" + (", " Forward (").replace(" - (", " Reverse (");
+    let given = |ways: &str| {
+        [(column("Target (mm)"), "x_mm".to_string()), (column(ways), "measured_dx_um".to_string())]
+    };
+    for (text, first) in [(signs, "Run 1 + (µm)"), (&words, "Run 1 Forward (µm)")] {
+        let given = given(first);
+        let given: Vec<_> = given.iter().map(|(at, it)| (at.clone(), it.as_str())).collect();
+        let imported = read_as("carto.csv", text.as_bytes(), &given);
+        assert_eq!(values(&imported, "x_mm")[..6], [0.0, 97.3, 201.9, 201.9, 97.3, 0.0], "{text}");
+        assert_eq!(values(&imported, "dir_x")[..6], [1.0, 1.0, 1.0, -1.0, -1.0, -1.0], "{text}");
+        assert_eq!(values(&imported, "run")[4..8], [1.0, 1.0, 2.0, 2.0], "{text}");
+        assert_eq!(values(&imported, "measured_dx_um")[3..6], [-0.9, 0.3, 1.2], "{text}");
+    }
+    // A column without a way next to others with one.
+    let mixed = signs.replace("Run 2 - (", "Run 2 (");
+    assert!(
+        bad(&mixed, &[]).contains("4:52: Run 2 (µm) states no direction"),
+        "{}",
+        bad(&mixed, &[])
+    );
+}
+
+#[test]
+fn a_protocol_in_columns_of_blanks_has_headers_of_several_words() {
+    // Target and actual position, as a control prints them in columns.
+    let units = "Protocol\nAxis: X\nPos-No.  Target position [mm]   Actual position [mm]\n\
+                 1        0.000                  0.002\n  2      100.000                100.004\n\
+                 3      200.000                199.993\n";
+    let given = [(column("Target position [mm]"), "x_mm")];
+    let imported = read_as("log.txt", units.as_bytes(), &given);
+    assert_eq!(imported.run, "x_mm,measured_dx_um\n0,2\n100,4\n200,-7\n");
+}
+
+#[test]
+fn what_no_source_describes_is_refused_in_a_line_with_what_would_do() {
+    for (name, content, phrase) in [
+        ("a.b5r", &b"\x00\x01B5R\xff"[..], "program backlash"),
+        ("A.B5R", b"<?xml version=\"1.0\"?><test/>", "ball-bar"),
+        ("a.rtx", b"\x00\xff", "target data (.rtl)"),
+        ("mill.xml", b"<?xml version=\"1.0\"?>\n<profile><Preferences/></profile>", "Mach3"),
+        ("Machine.ini", b"[Motor0]\nCountsPerUnit=2000\n", "Mach4"),
+        ("a.xml", b"<?xml version=\"1.0\"?><x/>", "csv, tsv, txt, xlsx or ods"),
+        ("TCHPR421.TXT", b"Measuring log\nDiameter: 12.000\n", "FN16"),
+        ("log.txt", b"MEASURING LOG PROBING CYCLE 418\nNOMINAL VALUE X : 100.0\n", "FN16"),
+    ] {
+        let refused = import(content, Path::new(name), &answers(&[])).expect_err(name);
+        let Refused::Bad(error) = refused else { panic!("{name} leaves a question open") };
+        let line = format!("{error}. {}", error.help.as_deref().unwrap_or_default());
+        assert!(line.contains(phrase) && line.lines().count() == 1, "{name}: {line}");
+    }
+}
