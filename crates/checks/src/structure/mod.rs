@@ -48,7 +48,7 @@ struct Limits {
 const LIMITS: Limits = Limits {
     circles: 0,
     long_files: 0,
-    long_functions: 6,
+    long_functions: 7,
     arrows: 2,
     nowhere: 0,
     cut_tables: 0,

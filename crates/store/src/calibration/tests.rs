@@ -41,15 +41,13 @@ const POINTS: [[u8; 4]; 3] = [[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0]];
 /// A term of each effect.
 fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS] {
     let scaled = Scaled { mantissa: -7, shift: 11 };
-    let x = Target::Axis(LinearAxis::X);
-    let y = Target::Axis(LinearAxis::Y);
+    let [x, y, z] = LinearAxis::ALL.map(Target::Axis);
     let heat = Effect::Heat {
         channel: 7,
         smoothing: SmoothingFactor(21),
         reference: Temperature(-22),
         per_temperature: scaled,
     };
-    let reversed = Effect::Reversed { width: Fine(4), gradient: Gradient(-5) };
     let wave = Effect::Wave { turns: 0x1234_5678_9ABC_DEF0, phase: 7, amplitude: Fine(-8) };
     let all = [
         (Target::Elongation, Effect::Offset),
@@ -61,10 +59,10 @@ fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS
         (Target::Elongation, Effect::Speed(scaled)),
         (Target::Elongation, Effect::Load(scaled)),
         (x, Effect::Position { axis: LinearAxis::Z, gradient: Gradient(-3) }),
-        (x, reversed),
+        (x, Effect::Reversed { width: Fine(4), gradient: Gradient(-5) }),
         (x, Effect::Table(pitch)),
         (x, Effect::Curve { axis: LinearAxis::Y, curve }),
-        (Target::Axis(LinearAxis::Z), wave),
+        (z, wave),
     ];
     let mut terms = [None; MAX_TERMS];
     for (place, (target, effect)) in terms.iter_mut().zip(all) {
@@ -76,15 +74,15 @@ fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS
 /// A calibration with something in every field.
 pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     let piece = Piece {
-        start: trueup_core::units::Temperature(94_208_000),
+        start: Temperature(94_208_000),
         constant: Fine(1),
         constant_slope: 2,
         gradient: Gradient(3),
         gradient_slope: 4,
     };
     let pieces = [piece.to_bytes()];
-    let segments =
-        [100_000, 131_071].map(|end| Segment::new(Position(end), 15, [256, 0, 0, 0]).to_bytes());
+    let segment = |end| Segment::new(Position(end), 15, [256, 0, 0, 0]).to_bytes();
+    let segments = [100_000, 131_071].map(segment);
     // The second segment begins after the start of the last of four buckets of 2¹⁵.
     let index = [[0, 0], [0, 0], [0, 0], [0, 0]];
     let curve = Curve::new(Position(0), &segments, &index, 15);

@@ -1,0 +1,21 @@
+//! A displacement sensor and a PT100 in the integers of the board: `cargo run -p trueup-core --example sensor_and_pt100`.
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
+use trueup_core::{
+    pt100,
+    sensor::{SensorLaw, Slope},
+    units::{MicroOhms, Nanometres, Reading, Temperature},
+};
+
+fn main() {
+    // 0.5 µm for each code of the converter; a reading is 1/1024 of a code, a slope 2⁻²⁸ nm per reading.
+    let slope = Slope(500 << 18);
+    let law = SensorLaw { k0: Nanometres(0), zero: Reading(600 << 10), slope };
+    let Nanometres(nm) = law.elongation(Reading(640 << 10));
+    println!("40 codes above zero: {nm} nm");
+    assert_eq!(nm, 20_000);
+
+    let Ok(Temperature(units)) = pt100::temperature(MicroOhms(138_505_500)) else { return };
+    println!("138.5055 ohm: {} mK", units / Temperature::PER_MILLIKELVIN);
+    assert!((99_990..=100_010).contains(&(units / Temperature::PER_MILLIKELVIN)));
+}

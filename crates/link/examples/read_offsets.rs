@@ -1,0 +1,16 @@
+//! What a CNC does with a line of the bridge: `cargo run -p trueup-link --example read_offsets`.
+#![allow(clippy::print_stdout, reason = "an example prints")]
+
+use trueup_core::{cnc::Output, units::Nanometres};
+use trueup_link::{frames, slcan};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let offset = Some([Nanometres(0), Nanometres(0), Nanometres(12_340)]);
+    let line = slcan::encode_line(&frames::offset_z(&Output { offset, ..Output::default() }, 7));
+    println!("{}", line.trim_end());
+    // A damaged frame is an error here: its CRC is part of the frame.
+    let read = frames::decode_offset_z(&slcan::decode_line(line.trim_end().as_bytes())?)?;
+    println!("Z {:?}, quality {:?}, counter {}", read.offset, read.quality, 7);
+    assert_eq!(read.offset, Some(Nanometres(12_340)));
+    Ok(())
+}
