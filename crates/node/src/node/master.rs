@@ -1,13 +1,13 @@
 //! Who commands the bridge, and what it waits for before it gives an offset.
 //!
 //! **The engage sequence.** After every start, whatever its reason, the offset that the CNC still
-//! applies is not known here. So nothing is available until `Engage` has been heard as 0 in three
+//! applies is not known here. So nothing is available until `Engage` was received as 0 in three
 //! accepted `Control` frames, one after the other, and then as 1: a CNC raises it only when the
 //! offset that it applies is 0.
 //!
 //! **One master.** The line on which `Control` was last accepted is the master's, until it has been
-//! silent for the link timeout: what a CNC would send is not heard from another line meanwhile, and
-//! that it came is told. On the same line a second master shows in the counters: each time the two change over, one frame is
+//! silent for the link timeout. Commands from any other line are ignored meanwhile, and
+//! reported. On the same line a second master shows in the counters: each time the two change over, one frame is
 //! repeated or out of sequence. A sound link has none of these and a CNC that restarts has one, so
 //! three within 2.4 s are a second master. Neither is believed then, as if both were silent. After the stranger's
 //! last frame the master is the sender whose next two counters follow on, with none out of sequence for a quarter of
@@ -16,10 +16,10 @@
 //! **Edges** of `Zero` and `Confirm` count once the bit was 0 after three accepted frames in a row and
 //! then 1 in three more: two masters that disagree on a bit make no edge of it, and neither does a
 //! single frame of a stranger that has guessed the counter. A `Zero` that was shorter is refused, and
-//! told.
+//! reported.
 //!
-//! **Whether a CNC is there.** A tool says `Service` itself where no CNC is heard. What it changes then no operator at
-//! the machine has seen, so the board has to tell the two apart ([`Master::is_cnc`]).
+//! **Whether a CNC is there.** A tool says `Service` itself where no CNC sends. No operator at the machine has seen
+//! such a change, so the board has to tell the two apart ([`Master::is_cnc`]).
 
 use trueup_canopen::dictionary::Authority;
 use trueup_core::cnc::Control;
@@ -37,17 +37,17 @@ pub enum Line {
 
 /// So many accepted frames in a row make the engage sequence, and an edge believable.
 const STEADY: u8 = 3;
-/// What a frame out of sequence weighs, and the sum that is a second master: three frames.
+/// The weight of a frame out of sequence, and the sum that is a second master: three frames.
 const WEIGHT: u8 = 4;
 const SECOND_MASTER: u8 = 3 * WEIGHT;
 /// The sum goes down by one in this time: 2.4 s for three frames.
 const LEAK_MS: u32 = 200;
-/// After a frame out of sequence so many have to follow on for its sender to be the master.
+/// Frames that have to follow on after one out of sequence, for its sender to be the master.
 const FOLLOWING: u8 = 2;
 /// And none may come out of sequence for this share of the link timeout. A CNC sends more often: else one lost frame
 /// or two would be its silence.
 const QUIET_SHARE: u32 = 4;
-/// Another line is told for so long after it was heard.
+/// Time for which another line is reported after its last command.
 const TOLD_MS: u32 = LEAK_MS * SECOND_MASTER as u32;
 
 /// A bit of `Control` whose edge means something.
@@ -59,7 +59,7 @@ struct Edge {
     run: u8,
 }
 
-/// What an edge comes to.
+/// The outcome of an edge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Asked {
     No,
@@ -99,7 +99,7 @@ pub(super) struct Master {
     last: Control,
     zero: Edge,
     confirm: Edge,
-    /// A `Zero` was cut short, and nobody was told yet.
+    /// A `Zero` was cut short, and that is not reported yet.
     zero_was_cut: bool,
     /// Frames accepted since the last one that was refused, up to [`STEADY`].
     steady: u8,
@@ -114,18 +114,18 @@ pub(super) struct Master {
     quiet_ms: u32,
     /// Two share the line, and neither is believed.
     is_doubtful: bool,
-    /// For so long it is still told that another line was heard.
+    /// Time for which another line is still reported.
     other_line_ms: u32,
     /// It has engaged since it began to speak.
     has_engaged: bool,
-    /// A master has been silent, or somebody else went on in its place.
+    /// A master has been silent, or another sender went on in its place.
     was_interrupted: bool,
 }
 
-/// What a `Control` frame comes to.
+/// The outcome of a `Control` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Heard {
-    /// What the bridge is to follow: `Zero` is set where its edge is believed, and in this frame alone.
+    /// The command that the bridge follows: `Zero` is set where its edge is believed, and in this frame alone.
     pub control: Control,
     /// `Zero` was asked for, believed or not.
     pub zero: bool,
@@ -134,17 +134,17 @@ pub(super) struct Heard {
 }
 
 impl Master {
-    /// Whether what a CNC sends is heard from this line.
+    /// Returns true if the commands of a CNC are accepted from this line.
     pub fn admits(&self, line: Line) -> bool {
         self.line.is_none_or(|his| his == line)
     }
 
-    /// Somebody speaks as a CNC on a line that is not the master's. What came damaged is noise, and nobody.
+    /// Records a CNC's frame on a line that is not the master's. A damaged frame is noise and does not count.
     pub fn hear_other(&mut self) {
         self.other_line_ms = TOLD_MS;
     }
 
-    /// A `Control` that was accepted; `None`: it is not believed.
+    /// Takes an accepted `Control`; `None`: it is not believed.
     pub fn take(&mut self, line: Line, control: Control) -> Option<Heard> {
         self.line = Some(line);
         self.silent_ms = 0;
@@ -174,7 +174,7 @@ impl Master {
         self.confirm.cut();
         if is_sound {
             self.quiet_ms = 0;
-            // It may be somebody else.
+            // It may be another sender.
             (self.has_engaged, self.was_interrupted) = (false, true);
             // So much more that it lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
