@@ -5,6 +5,9 @@ use std::{fs, path::Path};
 /// The type of a CAN interface in `/sys/class/net/*/type` (ARPHRD_CAN of Linux).
 const CAN: &str = "280";
 
+/// Where Linux lists its serial devices.
+const TTYS: &str = "/sys/class/tty";
+
 /// A port that is here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoundPort {
@@ -19,7 +22,10 @@ pub struct FoundPort {
 /// Returns the serial devices and CAN interfaces of this computer. None is opened for longer than a moment.
 #[must_use]
 pub fn ports() -> Vec<FoundPort> {
-    let serial = serialport::available_ports().unwrap_or_default().into_iter().map(|port| {
+    // Without `/sys`, as in a container or a bare root, the crate would panic.
+    let can_look = !cfg!(target_os = "linux") || Path::new(TTYS).is_dir();
+    let found = can_look.then(|| serialport::available_ports().unwrap_or_default());
+    let serial = found.unwrap_or_default().into_iter().map(|port| {
         let what = match port.port_type {
             serialport::SerialPortType::UsbPort(usb) => {
                 let names = [usb.manufacturer, usb.product].into_iter().flatten();
