@@ -1,7 +1,7 @@
 //! A machine with hidden faults, drawn by a seed: one to three physical faults of the virtual machine
-//! tool, each at least three times the noise, and each told from every rival law by the record it makes.
+//! tool, each at least three times the noise, and each separable from every rival law by the record it makes.
 //!
-//! Nothing here knows the diagnosis. Whether faults can be told is reckoned from what they really do to
+//! Nothing here knows the diagnosis. Whether faults can be separated is computed from what they really do to
 //! the record ([`crate::rivals`]); which causes name a fault is read from `docs/physical-faults.md`.
 
 use std::path::Path;
@@ -23,7 +23,7 @@ use crate::{
 
 /// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
 pub const LEAST_RATIO: f64 = 3.0;
-/// Faults are drawn from a little above that to so many times the noise.
+/// Faults are drawn from a little above that to this multiple of the noise.
 const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
 /// A fault that must be larger than this to be seen is none of this machine: as in
 /// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
@@ -32,33 +32,33 @@ const LARGEST_SIZE: f64 = 8.0;
 /// strong; the rule of a diagnosis as well.
 pub const LEAST_GAP: f64 = 6.0;
 /// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
-/// while an axis works and nobody reads a gauge. A scale that follows its air for hours has done so between
+/// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
 /// the measurements too.
 const MONITOR_S: f64 = 60.0;
-/// So many machines are drawn for a seed until one can be told.
+/// Maximum number of machines drawn for a seed until one can be separated.
 const TRIES: u64 = 200;
 
 /// A fault that is drawn.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// What is wrong.
+    /// The fault.
     pub fault: Fault,
     /// How much of it ([`Fault`]).
     pub size: f64,
     /// RMS of what it does to the record, over that of the noise.
     pub ratio: f64,
-    /// What it does to each row of the first day, in µm, read or not.
+    /// Its effect in each row of the first day, in µm, read or not.
     pub um: Vec<f64>,
 }
 
 /// A machine with hidden faults.
 #[derive(Clone, Debug)]
 pub struct Hidden {
-    /// What it was drawn by.
+    /// The seed of its draws.
     pub seed: u64,
     /// The machine.
     pub plant: Plant,
-    /// What is wrong with it.
+    /// Its faults.
     pub faults: Vec<Drawn>,
     /// RMS in µm of what the file leaves of the machine without a fault.
     pub noise_um: f64,
@@ -80,7 +80,7 @@ impl Hidden {
     /// The machine of `seed`.
     ///
     /// # Errors
-    /// None of the machines that were drawn can be told.
+    /// The faults of no drawn machine can be separated.
     pub fn draw(seed: u64) -> Result<Self> {
         let machine = |stream: &mut Stream| {
             let count = stream.whole(1, 3);
@@ -92,16 +92,16 @@ impl Hidden {
     }
 
     /// The machine of `seed` that changes its tools, of which each grows with the speed in its own way; another
-    /// fault may be hidden beside that.
+    /// fault may be hidden together with that.
     ///
     /// # Errors
-    /// None of the machines that were drawn can be told.
+    /// The faults of no drawn machine can be separated.
     pub fn draw_with_tools(seed: u64) -> Result<Self> {
         let machine = |stream: &mut Stream| (Kind::ToolSpindle, stream.whole(1, 2));
         Self::draw_of(seed, "hidden tools", machine, Some(Fault::ToolGrowth))
     }
 
-    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be told.
+    /// Draws kind and number of faults by `machine`, until its faults, `first` among them, can be separated.
     fn draw_of(
         seed: u64,
         purpose: &str,
@@ -148,7 +148,7 @@ impl Hidden {
         self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect()
     }
 
-    /// What the bridge's monitor writes down in a day, with the readings of the gauge beside it, as a run
+    /// Returns the log of the bridge's monitor over a day, together with the readings of the gauge, as a run
     /// file; `is_true`: by a gauge without an error.
     ///
     /// # Errors
@@ -271,7 +271,7 @@ impl Hidden {
         format!("measured_{}_um", self.plant.quantity)
     }
 
-    /// What the file of its user predicts, in µm.
+    /// Computes the prediction of the user's file, in µm.
     fn predicted(&self, run: &RunFile) -> Result<Vec<f64>> {
         let machine = MachineFile::parse(&self.plant.machine, Path::new("machine.toml"))?;
         let predictor = Predictor::new(&machine, run)?;

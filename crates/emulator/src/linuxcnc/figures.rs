@@ -1,9 +1,9 @@
-//! What came of it: the error of the tool tip before and after, in every servo cycle.
+//! The results: the error of the tool tip before and after, in every servo cycle.
 //!
-//! The tool tip's error is what LinuxCNC's motors were told, plus what the machine makes of that,
+//! The tool tip's error is the command of LinuxCNC's motors, plus the machine's response to it,
 //! minus what the program wanted. "Before" is the pass of the path that was cut with the component
 //! disabled; in the warm-up, where the machine only stands, and with the rotary axes it is the second
-//! machine, which hears the same without the external offset.
+//! machine, which gets the same without the external offset.
 //!
 //! * Straightness: range (largest minus smallest) of the error across the path, as the paper states
 //!   it; a constant is not a straightness error.
@@ -33,15 +33,15 @@ use super::{
     plant::{Account, Cycle},
 };
 
-/// What the run has left.
+/// The record of the run.
 pub struct Run {
-    /// What the firmware ran on.
+    /// The processor that ran the firmware.
     pub on: On,
     /// A second of the board in motion, in seconds of the wall.
     pub slower: u32,
     /// All servo cycles.
     pub cycles: Vec<Cycle>,
-    /// What the loop has done.
+    /// The account of the loop.
     pub account: Account,
     /// How long the warm-up took on the wall's clock, in s.
     pub warm_up_wall_s: f64,
@@ -49,20 +49,20 @@ pub struct Run {
     pub errors: Vec<(String, f64)>,
     /// The machine file.
     pub machine_file: String,
-    /// What the diagnosis has found.
+    /// The findings of the diagnosis.
     pub findings: String,
     /// The board's slew limit.
     pub slew_um_per_s: f64,
     /// How long the whole took.
     pub wall_s: f64,
-    /// What the board has logged.
+    /// The log of the board.
     pub log: Vec<String>,
 }
 
 /// One claim and what came of it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Check {
-    /// What is claimed, in words.
+    /// The claim, in words.
     pub name: &'static str,
     /// Without compensation, in µm, where there is such a thing.
     pub before_um: Option<f64>,
@@ -72,7 +72,7 @@ pub struct Check {
     pub value: f64,
     /// The unit of `value` and `limit`.
     pub unit: &'static str,
-    /// What is to be reached.
+    /// The target.
     pub limit: f64,
     /// Whether the figure must not be below the limit, else not above.
     pub at_least: bool,
@@ -111,10 +111,10 @@ pub struct Across {
     pub after_um: [f64; 3],
 }
 
-/// What was compressed, and what was not.
+/// The compression of time, part by part.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Time {
-    /// In motion a second of the board was so many of the wall, for LinuxCNC as well.
+    /// Wall seconds of a second of the board in motion, for LinuxCNC as well.
     pub slower: u32,
     /// Seconds of the machine in the warm-up.
     pub warm_up_s: u32,
@@ -122,12 +122,12 @@ pub struct Time {
     pub warm_up_wall_s: f64,
     /// The factor that was asked for: over the wall in QEMU, over the chip on its model.
     pub compression: u32,
-    /// The board's `link_timeout_ms` and `hold_ms` were so many times longer in the warm-up and after
+    /// The board's `link_timeout_ms` and `hold_ms` were longer by this factor in the warm-up and after
     /// it, because they count its own time.
     pub limits_longer_by: u32,
-    /// The time constants of the machine file were so many times shorter there.
+    /// The time constants of the machine file were shorter by this factor there.
     pub constants_shorter_by: u32,
-    /// In the warm-up LinuxCNC got one pair of offsets in so many.
+    /// In the warm-up LinuxCNC got one pair of offsets in this many.
     pub pairs_passed_one_in: u32,
     /// Milliseconds that the boards lived through.
     pub board_ms: u64,
@@ -141,9 +141,9 @@ pub struct Time {
 /// All of it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Figures {
-    /// What the firmware ran on.
+    /// The processor that ran the firmware.
     pub board: On,
-    /// What is claimed.
+    /// The claim.
     pub checks: Vec<Check>,
     /// Across the diagonal.
     pub diagonal: Across,
@@ -174,7 +174,7 @@ pub struct Figures {
     pub frames: Option<[u64; 2]>,
     /// The component's counters at the end, by their pins.
     pub component: Vec<(String, f64)>,
-    /// What the diagnosis has found in the measured run.
+    /// The findings of the diagnosis in the measured run.
     pub findings: String,
     /// The machine file that the board ran.
     pub machine_file: String,
