@@ -20,7 +20,8 @@ use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
 use trueup_emulator::{
     linuxcnc::headless::{DISPLAY, Headless, Sampler},
-    programs, setup,
+    programs,
+    setup::{self, LinuxCnc},
 };
 
 use self::fake_bridge::FakeBridge;
@@ -162,41 +163,45 @@ fn texts(folder: &Path) -> Result<Vec<(String, String)>> {
     Ok(all)
 }
 
+/// Starts LinuxCNC with this configuration, which is checked, set up, taken out to the byte, and set up again.
+fn stock(control: LinuxCnc, ini: &str, by: &str, bridge: &FakeBridge) -> Result<Headless> {
+    let folder = Headless::new_folder()?;
+    let path = |name: &str| folder.path().join(name);
+    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
+    fs::write(path("stock.ini"), ini.replace("FOLDER", here).replace("SCREEN", DISPLAY))?;
+    fs::write(path("own.hal"), OWN)?;
+    fs::write(path("sim.tbl"), "")?;
+    let gantry = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
+    let machine =
+        fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", "slew_um_per_s = 1200.0");
+    fs::write(path("machine.toml"), machine)?;
+    fs::copy(programs::trueup()?, path("trueup"))?;
+
+    let (ini, machine) = (path("stock.ini"), path("machine.toml"));
+    let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
+    let before = texts(folder.path())?;
+    let said = tool(&["linuxcnc", "check", &ini, "--by", by, "--machine", &machine], 0)?;
+    ensure!(by != "joint" || said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
+    let port = bridge.address();
+    let setup = ["linuxcnc", "setup", &ini, "--by", by, "--machine", &machine, "--port", &port];
+    tool(&setup, 0)?;
+    let once = texts(folder.path())?;
+    let said = tool(&setup, 0)?;
+    ensure!(said.contains("nothing was changed") && texts(folder.path())? == once, "{said}");
+    tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
+    ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
+    tool(&setup, 0)?;
+    Headless::start(folder, "stock.ini", control)
+}
+
 impl Rig {
     fn start() -> Result<Option<Self>> {
         let Some(control) = setup::linuxcnc()? else {
             println!("skipped: this distribution has no package of LinuxCNC");
             return Ok(None);
         };
-        let folder = Headless::new_folder()?;
-        let path = |name: &str| folder.path().join(name);
-        let here = folder.path().to_str().context("a temporary folder has a plain name")?;
-        let stock = ini().replace("FOLDER", here).replace("SCREEN", DISPLAY);
-        fs::write(path("stock.ini"), &stock)?;
-        fs::write(path("own.hal"), OWN)?;
-        fs::write(path("sim.tbl"), "")?;
-        let gantry = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
-        let machine =
-            fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", "slew_um_per_s = 1200.0");
-        fs::write(path("machine.toml"), machine)?;
-        fs::copy(programs::trueup()?, path("trueup"))?;
-
         let bridge = FakeBridge::start()?;
-        let (ini, machine) = (path("stock.ini"), path("machine.toml"));
-        let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
-        let before = texts(folder.path())?;
-        let said = tool(&["linuxcnc", "check", &ini, "--machine", &machine], 0)?;
-        ensure!(said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
-        let setup = ["linuxcnc", "setup", &ini, "--machine", &machine, "--port", &bridge.address()];
-        tool(&setup, 0)?;
-        let once = texts(folder.path())?;
-        let said = tool(&setup, 0)?;
-        ensure!(said.contains("nothing was changed") && texts(folder.path())? == once, "{said}");
-        tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
-        ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
-        tool(&setup, 0)?;
-
-        let mut cnc = Headless::start(folder, "stock.ini", control)?;
+        let mut cnc = stock(control, &ini(), "joint", &bridge)?;
         let pins = ["trueup-j0-cmd", "trueup-j1-cmd", "trueup-j2-cmd", "Xpos", "Ypos", "Zpos"];
         let more = [
             "trueup-j0-now",
@@ -450,4 +455,62 @@ fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
     rig.applied([50.0, -20.0, 70.0])?;
     rig.check("silence")?;
     rig.cnc.end()
+}
+
+/// In inches, with a second joint of Y.
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()> {
+    const MM: f64 = 25.4;
+    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let mut text = INI
+        .replace("core_sim.hal\nHALFILE = own.hal", "gantrysim.hal")
+        .replace("UNITS = mm", "UNITS = inch")
+        .replace("X Y Z", "XYYZ")
+        .replace("trivkins\nJOINTS = 3", "trivkins coordinates=XYYZ\nJOINTS = 4");
+    let motion = format!(
+        "MIN_LIMIT = -2\nMAX_LIMIT = 2\nMAX_VELOCITY = {}\nMAX_ACCELERATION = {}\n",
+        MAX_VELOCITY / MM,
+        MAX_ACCELERATION / MM
+    );
+    for axis in ["X", "Y", "Z"] {
+        text += &format!("[AXIS_{axis}]\n{motion}");
+    }
+    for joint in 0..4 {
+        let home = "HOME_SEARCH_VEL = 0\nHOME_LATCH_VEL = 0\nHOME = 0\nHOME_SEQUENCE = 0\n";
+        text +=
+            &format!("[JOINT_{joint}]\nTYPE = LINEAR\nFERROR = 1\nMIN_FERROR = 1\n{motion}{home}");
+    }
+    let bridge = FakeBridge::start()?;
+    let mut cnc = stock(control, &text, "joint", &bridge)?;
+    cnc.switch_on()?;
+    bridge.say([10.0, -20.0, 40.0]);
+    let names = [0, 1, 2, 3].map(|joint| format!("trueup-mv.offset-current-{joint}"));
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    cnc.wait("the offsets act", 20, &names, |seen| {
+        let um = [10.0, -20.0, -20.0, 40.0];
+        seen.iter().zip(um).all(|(now, um)| (now * MM * 1e3 - um).abs() < 0.02)
+    })?;
+    cnc.act("mdi", "text", "G53 G0 X1 Y1 Z-1")?;
+    let seen =
+        cnc.pins(&["trueup-j1.out", "trueup-j2.out", "trueup-j3.out", "trueup.0.applied"])?;
+    let expected = [1.0 - 0.02 / MM, 1.0 - 0.02 / MM, -1.0 + 0.04 / MM, 1.0];
+    assert!(seen.iter().zip(expected).all(|(one, other)| (one - other).abs() < 1e-6), "{seen:?}");
+    cnc.end()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn external_offsets_that_setup_has_written_act() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let bridge = FakeBridge::start()?;
+    let mut cnc = stock(control, &ini(), "eoffset", &bridge)?;
+    cnc.switch_on()?;
+    bridge.say([10.0, -20.0, 40.0]);
+    let names = ["axis.x.eoffset", "axis.y.eoffset", "axis.z.eoffset", "trueup.0.applied"];
+    cnc.wait("the offsets act", 20, &names, |seen| {
+        let mm = [0.01, -0.02, 0.04];
+        seen.iter().zip(mm).all(|(now, mm)| (now - mm).abs() < 2e-5) && seen[3] == 1.0
+    })?;
+    cnc.end()
 }
