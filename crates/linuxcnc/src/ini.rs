@@ -2,8 +2,8 @@
 //!
 //! LinuxCNC exports the file's name as `INI_FILE_NAME` to everything it starts. What is read:
 //! `[EMCMOT]SERVO_PERIOD`, `[TRAJ]LINEAR_UNITS`, and `MAX_VELOCITY`, `MAX_ACCELERATION`,
-//! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`, and `[TRAJ]COORDINATES`: a lathe has no Y. As LinuxCNC does it, the first line with
-//! a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
+//! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`, and `[TRAJ]COORDINATES`: a lathe has no Y. As LinuxCNC does it, the first section of a name
+//! alone counts, the first line with a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
 
 use crate::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE, follower::Pace};
 
@@ -158,15 +158,17 @@ impl Ini {
 
 /// The first value with this key in this section, and its line and column.
 fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), &'a str)> {
-    let mut here = "";
+    let (mut here, mut is_over) = ("", false);
     for (index, whole) in text.lines().enumerate() {
         let line = whole.trim();
         if line.starts_with(['#', ';']) {
             continue;
         }
         if let Some(rest) = line.strip_prefix('[') {
+            is_over |= here == section;
             here = rest.split(']').next().unwrap_or_default().trim();
         } else if here == section
+            && !is_over
             && let Some((name, value)) = line.split_once('=')
             && name.trim() == key
         {
@@ -205,7 +207,8 @@ mod tests {
     fn what_counts_is_read_in_mm_and_the_rest_passed_over() {
         let text = "# a machine\n[EMCMOT]\nSERVO_PERIOD = 500000\n[TRAJ]\nLINEAR_UNITS = inch\n\
                     [AXIS_X]\n#OFFSET_AV_RATIO = 0.9\nOFFSET_AV_RATIO = 0.2 # a fifth\n\
-                    MAX_VELOCITY=2\nMAX_ACCELERATION = 20\nMAX_VELOCITY = 9\n[AXIS_Y]\n";
+                    MAX_VELOCITY=2\nMAX_ACCELERATION = 20\nMAX_VELOCITY = 9\n[AXIS_Y]\n[AXIS_X]\n\
+                    OFFSET_AV_RATIO = 0.3\n[AXIS_Y]\nMAX_VELOCITY = 1\n";
         let ini = Ini::parse(text).expect("reads");
         assert_eq!((ini.cycle_s, ini.mm_per_unit), (0.0005, 25.4));
         assert_eq!(ini.axes[0].velocity_mm_per_s, Some(50.8));

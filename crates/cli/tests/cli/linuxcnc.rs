@@ -55,3 +55,53 @@ fn limits_that_make_no_sense_are_refused() {
         refused(&desk, &format!("linuxcnc {PORT} {option} {value}"), option);
     }
 }
+
+const INI: &str = "[EMCMOT]\nSERVO_PERIOD = 1000000\n[HAL]\nHALFILE = own.hal\n[TRAJ]\nCOORDINATES = X\n\
+    LINEAR_UNITS = mm\n[KINS]\nKINEMATICS = trivkins coordinates=X\nJOINTS = 1\n[AXIS_X]\nMAX_VELOCITY = 50\n\
+    [JOINT_0]\nMAX_VELOCITY = 50\nMAX_ACCELERATION = 800\n";
+const HAL: &str = "addf motion-command-handler servo-thread\naddf motion-controller servo-thread\n\
+    net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb\n";
+
+#[test]
+fn a_configuration_is_checked_set_up_and_left_as_it_was() {
+    let desk = Desk::new(&[("own.ini", INI), ("own.hal", HAL)]);
+    let (printed, _) = desk.said("linuxcnc check own.ini", 0);
+    assert!(
+        printed.contains("STEPGEN_MAXACCEL = 960") && printed.contains("nothing stands in the way"),
+        "{printed}"
+    );
+    refused(&desk, "linuxcnc setup own.ini", "--port is missing");
+    let (printed, _) = desk.said("linuxcnc setup own.ini --port /dev/ttyUSB0", 0);
+    assert!(
+        printed.contains("written: ./trueup_realtime.hal")
+            || printed.contains("written: trueup_realtime.hal"),
+        "{printed}"
+    );
+    // What it was set up with is kept.
+    let (printed, _) = desk.said("linuxcnc setup own.ini", 0);
+    assert!(printed.contains("nothing was changed"), "{printed}");
+    let (printed, _) = desk.said("linuxcnc setup own.ini --remove", 0);
+    assert!(printed.contains("removed: "), "{printed}");
+    let (printed, _) = desk.said("linuxcnc setup own.ini --remove", 0);
+    assert!(printed.contains("nothing of setup"), "{printed}");
+    assert_eq!(std::fs::read_to_string(desk.path("own.ini")).expect("there"), INI);
+}
+
+#[test]
+fn a_configuration_that_cannot_be_set_up_is_left_alone_with_the_lines_to_add() {
+    let text = INI.replace("[HAL]\n", "[HAL]\nTWOPASS = ON\n");
+    let desk = Desk::new(&[("own.ini", &text), ("own.hal", HAL)]);
+    for (line, code) in [("linuxcnc check own.ini", 3), ("linuxcnc setup own.ini --port can0", 2)] {
+        let line = line.replace("can0", "tcp:127.0.0.1:1");
+        let (printed, said) = desk.said(&line, code);
+        assert!(said.contains("own.ini:4:11") && said.contains("TWOPASS"), "{said}");
+        assert!(
+            printed.contains("net x trueup-j0.out") && printed.contains("HALFILE = trueup.hal"),
+            "{printed}"
+        );
+    }
+    assert_eq!(std::fs::read_to_string(desk.path("own.ini")).expect("there"), text);
+    let desk = Desk::new(&[("own.ini", INI)]);
+    refused(&desk, "linuxcnc check own.ini", "HALFILE = own.hal: there is no such file");
+    refused(&desk, "linuxcnc check missing.ini", "missing.ini");
+}
