@@ -100,7 +100,7 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
     report.parameters = vec![
         Parameter::fitted("k0_um", model.k0_um, wider * line.half_width(0)),
         Parameter::set("zero_counts", zero_counts),
-        Parameter::fitted("um_per_count", model.um_per_count, wider * line.half_width(1)),
+        Parameter::amplitude("um_per_count", model.um_per_count, wider * line.half_width(1)),
     ];
     if let Some(old) = old {
         let of_old: Vec<f64> =
@@ -168,7 +168,7 @@ fn by_temperature(
     let half = wider * fitted.half_width_of(&[-1.0 / k, constant / (k * k)]);
 
     report.parameters = vec![
-        Parameter::fitted("k_um_per_c", k, wider * fitted.half_width(1)),
+        Parameter::amplitude("k_um_per_c", k, wider * fitted.half_width(1)),
         Parameter::fitted("reference_c", reference_c, half),
         fitted.lag_parameter(wider),
     ];
@@ -285,25 +285,37 @@ pub(crate) fn say_old(report: &mut Report, residuals: &[f64]) {
     }
 }
 
-/// Not to compensate, where left-out rows are no better with the correction than without it, or
-/// than with a constant alone.
+/// Not to compensate, where the size of the effect may be 0, or where left-out rows are no better with the
+/// correction than without it, or than with a constant alone.
 pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
-    let (Some(before), Some(left_out)) = (report.before, report.left_out) else { return };
-    let ones = vec![vec![1.0; y.len()]];
-    let constant = rows::left_out(&ones, y, groups).and_then(|left| Spread::of(&left));
-    let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
-    let bar = before.rms_um.min(constant);
-    if left_out.rms_um >= bar {
-        report.verdict = Verdict::DoNotCompensate(vec![
+    let mut reasons: Vec<String> = report
+        .parameters
+        .iter()
+        .filter(|it| it.may_be_none())
+        .map(|it| {
             format!(
+                "{it}: 0 is within the interval, so the effect may be none; measure over a larger \
+                 range of the input, or more readings"
+            )
+        })
+        .collect();
+    if let (Some(before), Some(left_out)) = (report.before, report.left_out) {
+        let ones = vec![vec![1.0; y.len()]];
+        let constant = rows::left_out(&ones, y, groups).and_then(|left| Spread::of(&left));
+        let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
+        if left_out.rms_um >= before.rms_um.min(constant) {
+            reasons.push(format!(
                 "left-out rows ({}) are {:.3} µm RMS away with the correction",
                 report.left_out_by, left_out.rms_um
-            ),
-            format!(
+            ));
+            reasons.push(format!(
                 "they are {:.3} µm RMS without any, and {constant:.3} µm with a constant alone",
                 before.rms_um
-            ),
-        ]);
+            ));
+        }
+    }
+    if !reasons.is_empty() {
+        report.verdict = Verdict::DoNotCompensate(reasons);
     }
 }
 

@@ -168,7 +168,9 @@ pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<Pit
         .iter()
         .filter(|it| it.law > Law::Constant)
         .min_by(|a, b| a.rms_um().total_cmp(&b.rms_um()));
-    let Ok(law) = decision.taken.map(Law::from) else {
+    let is_one_pass = is_one_pass(&readings, &decision);
+    let taken = if is_one_pass { Ok(Law::OneTable) } else { decision.taken.map(Law::from) };
+    let Ok(law) = taken else {
         let mut why = reasons(&readings, &judged, best, &by_target);
         why.extend(to_measure(&readings, &decision, &by_target));
         report.verdict = Verdict::DoNotCompensate(why);
@@ -239,6 +241,17 @@ fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
         laws.push(Law::BothTables);
     }
     laws
+}
+
+/// Returns true for one pass in one direction: a screw's file of a control, a certificate. Nothing in it says
+/// whether the axis repeats, so it is taken over as it stands.
+fn is_one_pass(readings: &Readings, decision: &Decision) -> bool {
+    let each_once = readings.list.len() == readings.targets_mm.len();
+    readings.runs < 2
+        && !readings.is_record
+        && each_once
+        && readings.targets_mm.len() >= repeats::FEWEST_PLACES
+        && decision.taken == Err(repeats::Refusal::TooFew)
 }
 
 /// The decision that `trueup diagnose` takes as well.

@@ -86,6 +86,8 @@ pub struct Parameter {
     /// The interval that holds the true value in 95 of 100 such measurements, if the residuals are
     /// what the fit takes them for; `None` for what was set and not fitted.
     pub ci95: Option<[f64; 2]>,
+    /// Whether it is the size of the effect itself: where it may be 0, the effect may be none.
+    pub is_amplitude: bool,
 }
 
 impl Parameter {
@@ -93,13 +95,25 @@ impl Parameter {
     #[must_use]
     pub fn fitted(name: impl Into<String>, value: f64, half_width: f64) -> Self {
         let ci95 = Some([value - half_width, value + half_width]);
-        Self { name: name.into(), value, ci95 }
+        Self { name: name.into(), value, ci95, is_amplitude: false }
+    }
+
+    /// Returns a fitted constant that is the size of the effect itself.
+    #[must_use]
+    pub fn amplitude(name: impl Into<String>, value: f64, half_width: f64) -> Self {
+        Self { is_amplitude: true, ..Self::fitted(name, value, half_width) }
+    }
+
+    /// Returns true where it is an amplitude whose interval includes 0.
+    #[must_use]
+    pub fn may_be_none(&self) -> bool {
+        self.is_amplitude && self.ci95.is_some_and(|[low, high]| low <= 0.0 && 0.0 <= high)
     }
 
     /// A constant that was set, by the user or by convention, and not fitted.
     #[must_use]
     pub fn set(name: impl Into<String>, value: f64) -> Self {
-        Self { name: name.into(), value, ci95: None }
+        Self { name: name.into(), value, ci95: None, is_amplitude: false }
     }
 }
 

@@ -265,6 +265,15 @@ impl Data {
                 &self.arm_m,
             );
             let Some(fitted) = design.fit(&self.y, groups) else { continue };
+            // Both are worth it only where each of them is known to be there.
+            let wider = rows::widening(&fitted.residuals);
+            let is_there = |at: usize| {
+                let size = fitted.coefficients[at].abs();
+                size > wider * fitted.half_width(at)
+            };
+            if mode == ThermalMode::Both && wanted.is_none() && !(is_there(1) && is_there(3)) {
+                continue;
+            }
             let left_out = fitted.left_out.as_deref().and_then(Spread::of);
             let judged = left_out.or(Spread::of(&fitted.residuals)).map_or(f64::NAN, |s| s.rms_um);
             // Position and constant have as many terms: the better one. Both must be worth it.
@@ -358,7 +367,7 @@ impl Law<'_> {
                     name_of_b
                 }
             };
-            parameters.push(Parameter::fitted(name, c[1], half(1)));
+            parameters.push(Parameter::amplitude(name, c[1], half(1)));
             parameters.push(Parameter::fitted("reference_c", reference_c, reference_half));
             parameters.push(Parameter::set("origin_mm", data.origin_mm));
         } else {
@@ -404,8 +413,8 @@ impl Law<'_> {
                 thermal.reference_c = reference_c;
                 thermal.constant_um_per_c = a;
                 thermal.slope_um_per_m_per_c = b;
-                parameters.push(Parameter::fitted(name_of_a, a, self.wider * halves[1]));
-                parameters.push(Parameter::fitted(name_of_b, b, self.wider * halves[2]));
+                parameters.push(Parameter::amplitude(name_of_a, a, self.wider * halves[1]));
+                parameters.push(Parameter::amplitude(name_of_b, b, self.wider * halves[2]));
                 let half = self.wider * halves[0];
                 parameters.push(Parameter::fitted("reference_c", reference_c, half));
                 parameters.push(Parameter::set("origin_mm", data.origin_mm));

@@ -273,7 +273,7 @@ fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wide
     let parameters = &mut report.parameters;
     parameters.push(shown("lag_s", lag, constants.lag_s));
     parameters.push(Parameter::fitted("warm_s", warm_s, wider * half_warm));
-    parameters.push(Parameter::fitted("max_um", model.max_um, share * half(size_at)));
+    parameters.push(Parameter::amplitude("max_um", model.max_um, share * half(size_at)));
     parameters.push(shown("exponent", ends, exponent));
     parameters.push(shown("time_constant_s", tau, constants.tau_s));
     if let Some(cool_s) = constants.cool_s {

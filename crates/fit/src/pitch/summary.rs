@@ -70,9 +70,10 @@ fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
 pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
     let warnings = &mut report.warnings;
     if readings.runs < 2 {
+        report.facts.push(Fact::text("repeatability", "unknown"));
         warnings.push(
-            "there is only one run, so it is unknown whether the machine repeats; \
-             measure at least two, better five"
+            "there is only one run: repeatability unknown, and nothing says what the table gains; \
+             measure at least two runs, better five, in both directions"
                 .to_string(),
         );
     } else if let Some(iso230) = iso230

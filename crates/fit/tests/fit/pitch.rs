@@ -183,7 +183,7 @@ fn a_step_that_loses_more_than_the_scatter_is_warned_of() {
 }
 
 #[test]
-fn there_and_back_once_is_fitted_with_a_warning_and_one_way_alone_is_refused() {
+fn one_pass_is_taken_over_with_its_repeatability_unknown() {
     let targets: Vec<f64> = (0..6).map(|n| 17.0 * f64::from(n)).collect();
     let run = run_of(&sweeps(1, &targets, |_, x, dir| shape(x) - 2.0 + 2.0 * dir));
     let fit = fitted(&run, &Options::default());
@@ -195,8 +195,18 @@ fn there_and_back_once_is_fitted_with_a_warning_and_one_way_alone_is_refused() {
     let one_way = sweeps(1, &targets, |_, x, _| shape(x));
     let forward: Vec<&str> = one_way.lines().filter(|line| !line.contains(",-1,")).collect();
     let fit = fitted(&run_of(&(forward.join("\n") + "\n")), &Options::default());
+    let pitch = fit.pitch.expect("taken over");
+    assert!(pitch.reverse_um.is_none() && fit.backlash.is_none());
+    for (value, x) in pitch.forward_um.iter().zip(&targets) {
+        assert!((value - shape(*x)).abs() < 1e-3, "{value} at {x} mm");
+    }
+    assert!(fit.report.warnings[0].contains("repeatability unknown"), "{:?}", fit.report.warnings);
+    assert!(fit.report.left_out.is_none() && !fit.report.edit.is_empty());
+    // Two places always lie on a line.
+    let two = "x_mm,dir_x,measured_dx_um\n0,1,3\n100,1,-2\n";
+    let fit = fitted(&run_of(two), &Options::default());
     let Verdict::DoNotCompensate(reasons) = fit.report.verdict else { panic!("it was fitted") };
-    assert!(reasons[0].contains("measure two more runs"), "{reasons:?}");
+    assert!(reasons[0].contains("too few targets"), "{reasons:?}");
     assert!(fit.report.edit.is_empty());
 }
 

@@ -32,7 +32,7 @@ pub const SIGNIFICANCE: f64 = 0.01;
 const MOST_BLOCKS: usize = 20;
 
 /// Two places always lie on a line with a constant: a table begins with three.
-const FEWEST_PLACES: usize = 3;
+pub const FEWEST_PLACES: usize = 3;
 
 /// Squares below this share of the readings' own are rounding.
 const ROUNDING: f64 = 1e-18;
