@@ -73,6 +73,7 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
 
     let ones = vec![1.0; counts.len()];
     let found = robust::in_relation(&[&ones, &counts], &y);
+    let found = robust::standing_alone(found, &counts, &y);
     report.set_aside = rows.set_aside(&found, &y, MEASURED);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);
     y.iter_mut().zip(&counts).filter(|(_, v)| v.is_nan()).for_each(|(y, _)| *y = f64::NAN);
@@ -146,7 +147,10 @@ fn by_temperature(
     report.rows_incomplete = is_used.iter().filter(|used| !**used).count();
     let found = match &time_s {
         Some(time_s) => lagged::outliers(time_s, &rows.starts(Some(time_s)), &y),
-        None => robust::in_relation(&[&vec![1.0; y.len()], &temperature_c], &y),
+        None => {
+            let found = robust::in_relation(&[&vec![1.0; y.len()], &temperature_c], &y);
+            robust::standing_alone(found, &temperature_c, &y)
+        }
     };
     report.set_aside = rows.set_aside(&found, &y, MEASURED);
     found.iter().for_each(|outlier| y[outlier.row] = f64::NAN);

@@ -19,6 +19,8 @@
 //! of 10⁶ rows is fitted in a process of 281 MB, the run and its text included (the ignored test
 //! `a_million_rows_are_fitted`).
 
+mod bent;
+mod gross;
 mod table;
 
 use trueup_machine::{
@@ -30,14 +32,13 @@ use trueup_machine::{
 };
 use trueup_numerics::{
     least_squares::{self, fit_separable},
-    robust::{self, Outlier},
     t_quantile,
 };
 
 use self::table::FittedTable;
 use crate::{
     elongation::{finish, judge, spread_or_bad, summary, temperature_column},
-    lagged::{self, Fitted, Lagged, Term},
+    lagged::{Fitted, Lagged, Term},
     report::{Fact, Parameter, Report, Spread},
     rows::{self, Rows},
 };
@@ -116,6 +117,28 @@ pub fn fit(
             table.report(&mut report, mode);
             thermal.table = Some(table.rows);
         }
+    } else if options.table_rows.is_none()
+        && let Some((bend, table)) = bend(&data, mode, &fitted, groups.as_deref())
+    {
+        if bend.lag_s != fitted.lag_s {
+            report.parameters.retain(|parameter| parameter.name != "lag_s");
+            report.parameters.push(Parameter::set("lag_s", bend.lag_s));
+        }
+        table.report(&mut report, mode);
+        report.warnings.push(format!(
+            "the growth is no line over the temperature: it is written as a table of {} rows, which \
+             left-out rows are better with",
+            bend.knots_c.len()
+        ));
+        if bend.is_once {
+            report.warnings.push(
+                "some of the temperatures were there in one part of the record only, so something else \
+                 that changed then would look the same: pass through them again"
+                    .into(),
+            );
+        }
+        thermal.lag_s = bend.lag_s;
+        thermal.table = Some(table.rows);
     } else if options.table_rows.is_some() {
         let rule = format!(
             "the rows do not decide a table of {} temperatures between the coldest and the warmest",
@@ -130,7 +153,7 @@ pub fn fit(
     let (left_out, by) = match &thermal.table {
         Some(table) if table.len() > 2 => {
             let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
-            table::left_out(&data, mode, fitted.lag_s, &knots, (groups.as_deref(), by))
+            table::left_out(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
         }
         _ => (fitted.left_out.clone(), by),
     };
@@ -141,6 +164,18 @@ pub fn fit(
         report.edit = Edit::of(section(axis, &thermal, &report));
     }
     Ok(report)
+}
+
+/// Returns the bend of the law and its table, where left-out rows are clearly better with it.
+fn bend(
+    data: &Data,
+    mode: ThermalMode,
+    lines: &Fitted,
+    groups: Option<&[usize]>,
+) -> Option<(bent::Bend, FittedTable)> {
+    let bend = bent::find(data, mode, groups, lines)?;
+    let table = FittedTable::with_rows(data, mode, bend.lag_s, &bend.knots_c)?;
+    Some((bend, table))
 }
 
 impl Data {
@@ -194,49 +229,6 @@ impl Data {
         let mut used = self.arm_m.iter().zip(&self.y).filter(|(_, y)| !y.is_nan());
         let first = used.next().map(|(arm, _)| *arm);
         used.any(|(arm, _)| Some(*arm) != first)
-    }
-
-    fn set_outliers_aside(&mut self, rows: &Rows<'_>, report: &mut Report) {
-        let found = match &self.time_s {
-            Some(time_s) if !self.positions_differ() => {
-                lagged::outliers(time_s, &self.starts, &self.y)
-            }
-            _ => self.off_their_own_run(rows),
-        };
-        report.set_aside = rows.set_aside(&found, &self.y, &self.measured);
-        found.iter().for_each(|outlier| self.y[outlier.row] = f64::NAN);
-    }
-
-    /// Rows that are off what the other rows of their own run follow. Between runs the law may bend
-    /// with the temperature: held against one line through all of them, whole runs would be gross errors.
-    fn off_their_own_run(&self, rows: &Rows<'_>) -> Vec<Outlier> {
-        let ones = vec![1.0; self.y.len()];
-        let warm = &self.temperature_c;
-        let both: Vec<f64> = self.arm_m.iter().zip(warm).map(|(p, t)| p * t).collect();
-        let law: &[&[f64]] = if self.positions_differ() {
-            &[&ones, &self.arm_m, warm, &both]
-        } else {
-            &[&ones, warm]
-        };
-        let runs = rows.runs_of_rows().unwrap_or_else(|| vec![0; self.y.len()]);
-        let of_run = |run: usize| -> Vec<f64> {
-            let own = |(y, of): (&f64, &usize)| if *of == run { *y } else { f64::NAN };
-            self.y.iter().zip(&runs).map(own).collect()
-        };
-        let off = |y: &[f64]| {
-            // A short run is at one temperature, or shows no more than a line.
-            let columns =
-                (y.iter().filter(|y| !y.is_nan()).count() / robust::ROWS_A_COLUMN).min(law.len());
-            robust::in_relation(&law[..columns], y)
-        };
-        let last = runs.iter().copied().max().unwrap_or(0);
-        let by_run: Vec<Vec<f64>> = (0..=last).map(of_run).collect();
-        let is_told =
-            |y: &Vec<f64>| y.iter().filter(|y| !y.is_nan()).count() >= 2 * robust::ROWS_A_COLUMN;
-        if !by_run.iter().any(is_told) {
-            return robust::in_relation(law, &self.y);
-        }
-        by_run.iter().flat_map(|y| off(y)).collect()
     }
 
     /// The mode that is wanted, else the simplest that left-out rows do not clearly disfavour.

@@ -34,6 +34,7 @@
 //! scales; the median knows the scale as well as 0.37·n values would with squares, so short runs need
 //! more.
 
+mod alone;
 mod chance;
 mod relation;
 mod residual;
@@ -42,6 +43,7 @@ mod statistics;
 #[cfg(test)]
 mod tests;
 
+pub use alone::standing_alone;
 pub use chance::{chance_of_as_many, chance_of_noise};
 pub use relation::{ROWS_A_COLUMN, in_relation};
 pub use residual::in_residual;

@@ -106,7 +106,17 @@ impl FittedTable {
                 (0..count).map(|at| low + (high - low) * at as f64 / last as f64).collect()
             }
         };
-        let columns = columns(data, mode, lag_s, &knots);
+        Self::with_rows(data, mode, lag_s, &knots)
+    }
+
+    /// With rows at these temperatures.
+    pub(super) fn with_rows(
+        data: &Data,
+        mode: ThermalMode,
+        lag_s: f64,
+        knots: &[f64],
+    ) -> Option<Self> {
+        let columns = columns(&data.lagged_c(lag_s), &data.arm_m, mode, knots);
         let solution = rows::solve(&columns, &data.y, |_| true)?;
         let count = knots.len();
         let constant =
@@ -185,7 +195,7 @@ pub(super) fn left_out(
     knots: &[f64],
     (groups, by): (Option<&[usize]>, String),
 ) -> (Option<Vec<f64>>, String) {
-    let columns = columns(data, mode, lag_s, knots);
+    let columns = columns(&data.lagged_c(lag_s), &data.arm_m, mode, knots);
     match rows::left_out(&columns, &data.y, groups) {
         Some(left_out) => (Some(left_out), by),
         // Whole runs at one temperature are whole rows of the table: without such a run its row is
@@ -195,8 +205,12 @@ pub(super) fn left_out(
 }
 
 /// The hat functions of K₀'s rows, then those of tanβ's.
-fn columns(data: &Data, mode: ThermalMode, lag_s: f64, knots: &[f64]) -> Vec<Vec<f64>> {
-    let lagged_c = data.lagged_c(lag_s);
+pub(super) fn columns(
+    lagged_c: &[f64],
+    arm_m: &[f64],
+    mode: ThermalMode,
+    knots: &[f64],
+) -> Vec<Vec<f64>> {
     let mut columns = Vec::new();
     if mode.has_constant() {
         columns.extend(
@@ -208,7 +222,7 @@ fn columns(data: &Data, mode: ThermalMode, lag_s: f64, knots: &[f64]) -> Vec<Vec
     }
     if mode.has_position() {
         columns.extend(knots.iter().enumerate().map(|(at, _)| {
-            let values = lagged_c.iter().zip(&data.arm_m);
+            let values = lagged_c.iter().zip(arm_m);
             values.map(|(t, arm)| arm * hat(knots, at, *t)).collect::<Vec<f64>>()
         }));
     }

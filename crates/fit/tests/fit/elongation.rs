@@ -136,6 +136,24 @@ fn readings_that_have_nothing_to_do_with_it_are_not_compensated() {
     assert!(report.edit.is_empty());
 }
 
+#[test]
+fn a_range_in_which_the_sensor_is_another_is_no_gross_error() {
+    let mut noise = Noise::seeded(6);
+    let counts: Vec<f64> = (0..60).map(|row| 5000.0 + 10.0 * f64::from(row * 37 % 60)).collect();
+    let growth = |v: f64| if v < 5450.0 { 0.1 * (v - 5000.0) } else { 45.0 + 0.5 * (v - 5450.0) };
+    let mut y: Vec<f64> = counts.iter().map(|v| growth(*v) + 0.3 * noise.next()).collect();
+    y[10] += 80.0;
+    let run = run(&[("sensor_counts", &counts), ("measured_elongation_um", &y)]);
+    let report = fit(run, PAPER);
+    assert_eq!(report.set_aside.len(), 1, "{:?}", report.set_aside);
+    assert!(report.set_aside[0].place.to_string().contains(":12:"), "{:?}", report.set_aside);
+    assert!(
+        report.warnings.iter().any(|it| it.contains("follow a curve")),
+        "{:?}",
+        report.warnings
+    );
+}
+
 /// By hand: slope 7.5, residuals −2.5, 10, −12.5, 5, so s = 11.99, and 4.303·s/√5 = 23.1 either way. Left-out
 /// rows gain all the same: 14.7 µm RMS, 18.2 without, 15.9 with a constant.
 #[test]
