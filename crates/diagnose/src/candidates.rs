@@ -131,6 +131,7 @@ impl Seen<'_> {
         let data = self.data();
         let values = match over {
             Reading::Position => data.own_position()?,
+            Reading::Time => data.time_s.as_deref()?,
             Reading::Elongation => &data.elongation,
             Reading::Column(column) => named(data, column)?,
         };

@@ -6,6 +6,7 @@
 //! | `read` | from runs to the table |
 //! | `channels` | thermometers that lie and columns that are copies, excluded |
 //! | `inputs` | which of the other columns an error may depend on |
+//! | `one_pass` | whether the position only grows with the time |
 //! | `prediction`, `reversal` | what the machine file says of each row; what follows from turning |
 //! | `stated` | the terms that the machine file has already |
 //! | `table` | the columns, by name |
@@ -24,6 +25,7 @@ mod inputs;
 mod lag;
 mod lag_series;
 mod lags;
+mod one_pass;
 mod prediction;
 mod quantity;
 mod read;

@@ -227,6 +227,11 @@ impl Kind {
         self.cause().is_some_and(Effect::is_wave)
     }
 
+    /// Whether it is a wave, over the position or the time.
+    pub(crate) fn has_phase(&self) -> bool {
+        self.cause().is_some_and(Effect::has_phase)
+    }
+
     /// Whether it takes two recorded inputs together.
     pub(crate) fn is_composed(&self) -> bool {
         self.cause().is_some_and(Effect::is_composed)

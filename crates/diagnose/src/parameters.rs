@@ -77,7 +77,7 @@ pub(crate) fn estimates(
                 let first_s = (at_s - 2.0 * step_s).min(before_s);
                 put(&mut map, name, at_s, [first_s, at_s + step_s]);
             }
-            Parameter::Waves(harmonics) => {
+            Parameter::Waves(period, harmonics) => {
                 // Of several waves the largest is the one that is named.
                 let waves = part.values[nonlinear.len()..].chunks(2);
                 let sizes: Vec<f64> = waves.map(|pair| pair[0].hypot(pair[1])).collect();
@@ -104,12 +104,7 @@ pub(crate) fn estimates(
                     [(amplitude - sd).max(0.0), amplitude + sd],
                 );
                 let [low, high] = interval(0);
-                put(
-                    &mut map,
-                    "period_mm",
-                    part.values[0] / harmonic,
-                    [low / harmonic, high / harmonic],
-                );
+                put(&mut map, period, part.values[0] / harmonic, [low / harmonic, high / harmonic]);
             }
             Parameter::Record(name, record) => {
                 let record: Map<String, Value> = record
@@ -172,7 +167,7 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
         return intervals.iter().zip(&said).all(|(interval, said)| holds(*interval, *said));
     }
     // Waves have a phase as well, and a size by both of their values.
-    if part.kind.list_length().is_some() || part.kind.is_wave() || part.kind.is_of_instrument() {
+    if part.kind.list_length().is_some() || part.kind.has_phase() || part.kind.is_of_instrument() {
         return false;
     }
     let nonlinear = part.kind.nonlinear();

@@ -61,12 +61,18 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
         }
     };
     let next_test = cause.with_repair(next_test);
-    let rivals = it.rivals.iter().map(|rival| Rival {
+    let same = it.doubts.iter().filter_map(|doubt| match doubt {
+        Doubt::OnePass(other) => {
+            Some(Rival { cause: (*other).into(), column: None, form: None, score_gap: 0.0 })
+        }
+        _ => None,
+    });
+    let rivals = same.chain(it.rivals.iter().map(|rival| Rival {
         cause: rival.cause.name().into(),
         column: rival.cause.column(),
         form: dependence(&rival.cause).map(Dependence::form_name),
         score_gap: rival.bic_gap,
-    });
+    }));
     Finding {
         cause: cause.name().into(),
         column: cause.column(),
@@ -251,6 +257,7 @@ fn named(cause: &Kind) -> String {
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
         Doubt::Rival(rival) => Some(rival.name()),
+        Doubt::OnePass(other) => Some(other),
         _ => None,
     })
 }
@@ -328,6 +335,9 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
         Doubt::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
         }
+        Doubt::OnePass(other) => format!(
+            "The position only grew with the time: {other} would look the same."
+        ),
         Doubt::NotRepeated => {
             "Its repeats do not bear it out: a cycle is not foreseen by the others, or chance would make \
              the places differ as much."

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use trueup_machine::effect::Effect;
 use trueup_page::micrometres;
 
 use crate::{
@@ -44,6 +45,8 @@ pub(crate) enum Reason {
     OnlyNoise,
     /// What is left is as small as what the instrument is worth.
     OfInstrument,
+    /// What comes and goes with the clock is driven by something that was not recorded.
+    ByTheClock,
     /// No error of a size that matters could have been told from noise.
     TooLittle(Power),
     Wanders(Wandering),
@@ -134,6 +137,10 @@ impl fmt::Display for Reason {
                 "the bridge was engaged, and how the CNC applies the offset is not known: what is wrong may be the \
                  CNC or the machine file, so nothing is written",
             ),
+            Self::ByTheClock => f.write_str(
+                "what comes and goes with the clock has a cause that was not recorded; the next record has \
+                 another phase",
+            ),
             Self::NothingFires => f.write_str("no test of structure fires on what is left"),
         }
     }
@@ -210,6 +217,9 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     let is_doubted = |it: &Judgement| !it.doubts.is_empty() && it.other_law().is_none();
     if grounds.is_withheld || judged.iter().any(is_doubted) {
         reasons.push(Reason::Open);
+    }
+    if judged.iter().any(|it| matches!(it.cause().cause(), Some(Effect::PeriodicInTime(_)))) {
+        reasons.push(Reason::ByTheClock);
     }
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {
         reasons.push(Reason::BetweenPoints);

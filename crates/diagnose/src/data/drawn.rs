@@ -87,6 +87,7 @@ impl Data {
             machine: self.machine.clone(),
             quantity: self.quantity,
             files: self.files,
+            is_one_pass: self.is_one_pass,
             names: self.names.clone(),
             has_elongation: self.has_elongation,
             references_c: self.references_c.clone(),

@@ -12,6 +12,7 @@ use trueup_machine::{
 use super::{
     channels, inputs,
     lag::first_of,
+    one_pass,
     prediction::predict,
     reversal::reversal_decay,
     stated::Stated,
@@ -119,6 +120,7 @@ impl Data {
             temperatures,
             distrusted: Vec::new(),
             others,
+            is_one_pass: false,
             drives: drives(joined("spindle_rpm").as_deref()),
             spindle_rpm: joined("spindle_rpm"),
             load_n: joined("load_n"),
@@ -143,6 +145,10 @@ impl Data {
         };
         channels::set_aside(&mut data, &runs.iter().map(|run| &**run).collect::<Vec<&RunFile>>());
         inputs::retain(&mut data);
+        data.is_one_pass = one_pass::is_one_pass(&data);
+        if data.is_one_pass {
+            one_pass::leave_the_clock(&mut data);
+        }
         data.references_c = data
             .temperatures
             .iter()

@@ -45,6 +45,8 @@ pub(crate) struct Data {
     pub distrusted: Vec<String>,
     /// Columns that this project does not know.
     pub others: Vec<Column>,
+    /// Whether the own axis went one way all the time: an error along it and a drift are one question.
+    pub is_one_pass: bool,
     /// In 1/min.
     pub spindle_rpm: Option<Arc<[f64]>>,
     /// How hard the spindle heats by each power of its speed, by [`drive`].

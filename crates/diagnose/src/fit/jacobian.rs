@@ -97,7 +97,7 @@ fn of_any(problem: &Problem, model: &Model, index: usize, here: &[f64]) -> Vec<(
 
 fn derivative_step(problem: &Problem, what: Option<&Nonlinear>, value: f64) -> f64 {
     match what {
-        Some(Nonlinear::Period | Nonlinear::ReadingPeriod) => 1e-7,
+        Some(Nonlinear::Period | Nonlinear::TimePeriod | Nonlinear::ReadingPeriod) => 1e-7,
         Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant) => 1e-4,
         // Between two rows a temperature is straight: over more of it its noise is less of a slope.
         Some(Nonlinear::Late) => 0.02,

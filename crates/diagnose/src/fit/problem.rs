@@ -53,6 +53,8 @@ pub(crate) struct Bounds {
     pub travel_mm: f64,
     /// Periods, in mm.
     pub period_mm: [f64; 2],
+    /// Periods, in s.
+    pub period_s: [f64; 2],
     /// The model's prediction, in µm.
     pub prediction_um: [f64; 2],
 }
@@ -237,6 +239,10 @@ impl Problem {
                 let [low, high] = self.bounds.period_mm;
                 *value < (1.0 + NEAR) * low || *value > (1.0 - NEAR) * high
             }
+            Nonlinear::TimePeriod => {
+                let [low, high] = self.bounds.period_s;
+                *value < (1.0 + NEAR) * low || *value > (1.0 - NEAR) * high
+            }
             Nonlinear::Limit => *value <= self.bounds.prediction_um[0],
             Nonlinear::Late => *value > (1.0 - NEAR) * self.bounds.late_s[1],
             Nonlinear::Shift => value.abs() > (1.0 - NEAR) * self.bounds.shift_s[1],
@@ -285,6 +291,7 @@ impl Problem {
                     Nonlinear::Late => held(value, self.bounds.late_s),
                     Nonlinear::Limit => held(value, self.bounds.prediction_um),
                     Nonlinear::Period => held(value, self.bounds.period_mm),
+                    Nonlinear::TimePeriod => held(value, self.bounds.period_s),
                     Nonlinear::Bend => own.into_iter().for_each(|limits| held(value, limits)),
                     Nonlinear::ReadingPeriod | Nonlinear::Origin | Nonlinear::Instant => {}
                 }
@@ -315,6 +322,8 @@ const SHORTEST_ROWS: f64 = 0.2;
 const LONGEST_RECORDS: f64 = 3.0;
 /// The longest period, in travels: a wave that turns less than one and a half times is a curve.
 const LONGEST_PERIOD: f64 = 0.7;
+/// The same in time, in records: what comes and goes less than two and a half times is a slow law of something.
+const LONGEST_TIME_PERIOD: f64 = 0.4;
 /// What cools so many times faster or slower than it warms is not the same heat.
 const ALIKE: f64 = 5.0;
 /// Time constants in a record that shows all of one: three of them pass five times over.
@@ -370,6 +379,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
             (range[1] - range[0]) / groups.len().max(2) as f64,
             LONGEST_PERIOD * (range[1] - range[0]),
         ],
+        period_s: [longest_s / groups.len().max(2) as f64, LONGEST_TIME_PERIOD * longest_s],
         prediction_um,
     }
 }

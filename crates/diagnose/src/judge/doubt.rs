@@ -49,6 +49,8 @@ pub(crate) enum Doubt {
     /// A wave of what the instrument reads, beside this table over the same position: a table of more points would
     /// take it.
     BesideTable(Kind),
+    /// The position only grew with the time: this cause of the time is the same.
+    OnePass(&'static str),
     /// A table that its own repeats do not bear out.
     NotRepeated,
 }

@@ -244,6 +244,7 @@ causes! {
     dependence::Dependence "Something depends on a recorded input, by no law with a name.",
     step::Step "Something has slipped, once.",
     drift::Drift "It wanders with time.",
+    periodic_in_time::PeriodicInTime "It comes and goes with the clock.",
     outliers::Outliers "Some readings stand alone, far from the rest.",
     reference_instrument::ReferenceInstrument "The reference instrument errs.",
 }
@@ -429,6 +430,12 @@ impl Effect {
     #[must_use]
     pub fn is_wave(&self) -> bool {
         self.nonlinear().contains(&Nonlinear::Period)
+    }
+
+    /// Whether its amplitudes are the sines and cosines of waves, whose sizes and phases are told.
+    #[must_use]
+    pub fn has_phase(&self) -> bool {
+        self.is_wave() || self.nonlinear().contains(&Nonlinear::TimePeriod)
     }
 
     /// Whether its first value is a time constant.

@@ -121,6 +121,8 @@ pub enum Nonlinear {
     FallingTimeConstant,
     /// In mm, above 0: between the spacing of the positions and most of the travel.
     Period,
+    /// In s, above 0: between the spacing of the rows and a third of the record.
+    TimePeriod,
     /// The same of an instrument's reading, without a bound.
     ReadingPeriod,
     /// A position in mm.
@@ -147,6 +149,7 @@ impl Nonlinear {
                 | Self::FallingTimeConstant
                 | Self::Late
                 | Self::Period
+                | Self::TimePeriod
                 | Self::ReadingPeriod
         )
     }
@@ -164,8 +167,8 @@ pub enum Parameter {
     Fixed(&'static str, f64),
     /// A fitted time by its number, as sharp as its neighbours.
     Instant(&'static str, usize),
-    /// `amplitude_um` and `period_mm` of the largest of these harmonics.
-    Waves(Vec<u32>),
+    /// `amplitude_um` and, under this name, the period of the largest of these harmonics.
+    Waves(&'static str, Vec<u32>),
     /// All fitted values together.
     Record(&'static str, Vec<(&'static str, Option<Value>)>),
     /// A list that has no interval.

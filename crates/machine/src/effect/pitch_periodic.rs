@@ -90,7 +90,7 @@ impl Page for PitchPeriodic {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let harmonics = self.waves.iter().map(|wave| wave.harmonic).collect();
-        let mut parameters = vec![Parameter::Waves(harmonics)];
+        let mut parameters = vec![Parameter::Waves("period_mm", harmonics)];
         if self.waves.len() > 1 {
             let mut fitted = self.clone();
             fitted.set(values);

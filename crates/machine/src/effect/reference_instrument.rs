@@ -154,7 +154,7 @@ impl Page for ReferenceInstrument {
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let description = Value::Text(self.described(values));
-        vec![Parameter::Waves(vec![1]), Parameter::Said("description", description)]
+        vec![Parameter::Waves("period_mm", vec![1]), Parameter::Said("description", description)]
     }
 }
 

@@ -43,6 +43,8 @@ impl Settings {
 pub enum Reading<'a> {
     /// The position of the own axis.
     Position,
+    /// The clock.
+    Time,
     /// The elongation that is predicted.
     Elongation,
     /// A column.
