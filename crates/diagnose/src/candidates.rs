@@ -29,15 +29,22 @@ pub(crate) struct Candidate {
     pub searched: f64,
 }
 
-/// Returns what may be added to `model` but for what takes two recorded inputs together, and the terms of the machine
-/// file that may have become wrong.
+/// Returns what may be added to `model` but for what takes two recorded inputs together and what goes with the clock
+/// alone, and the terms of the machine file that may have become wrong.
 pub(crate) fn possible(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
+    let mut all = with_clock(problem, model, residual);
+    all.retain(|candidate| !candidate.kind.is_by_the_clock());
+    all
+}
+
+/// Returns the same, with what comes and goes with the clock.
+pub(crate) fn with_clock(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
     let mut all = with_composed(problem, model, residual);
     all.retain(|candidate| !candidate.kind.is_composed());
     all
 }
 
-/// Returns the same, with what takes two recorded inputs together: many candidates.
+/// Returns all of these, with what takes two recorded inputs together: many candidates.
 pub(crate) fn with_composed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate> {
     (*problem.known("causes", model, || proposed(problem, model, residual))).clone()
 }

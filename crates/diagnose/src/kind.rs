@@ -232,6 +232,11 @@ impl Kind {
         self.cause().is_some_and(Effect::has_phase)
     }
 
+    /// Whether it comes and goes with the clock: beside a law that is missing, it follows whatever drives that.
+    pub(crate) fn is_by_the_clock(&self) -> bool {
+        matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
+    }
+
     /// Whether it takes two recorded inputs together.
     pub(crate) fn is_composed(&self) -> bool {
         self.cause().is_some_and(Effect::is_composed)

@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use trueup_machine::effect::Effect;
 use trueup_page::micrometres;
 
 use crate::{
@@ -218,7 +217,7 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     if grounds.is_withheld || judged.iter().any(is_doubted) {
         reasons.push(Reason::Open);
     }
-    if judged.iter().any(|it| matches!(it.cause().cause(), Some(Effect::PeriodicInTime(_)))) {
+    if judged.iter().any(|it| it.cause().is_by_the_clock()) {
         reasons.push(Reason::ByTheClock);
     }
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {

@@ -44,7 +44,7 @@ use trueup_numerics::noise::Noise;
 
 use crate::{
     blocks::Folds,
-    candidates::{possible, structure, with_composed},
+    candidates::{possible, structure, with_clock, with_composed},
     data::Data,
     fit::{Fitted, Problem},
     kind::Part,
@@ -157,7 +157,11 @@ impl Search<'_> {
 
     /// Scans what may be tried now, and takes the best if it is worth it.
     fn round(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Round {
-        let all = if self.stage == Stage::Composed { with_composed } else { possible };
+        let all = match self.stage {
+            Stage::Composed => with_composed,
+            Stage::ByTheClock => with_clock,
+            _ => possible,
+        };
         let mut candidates = all(self.problem, &self.fitted.model, &self.fitted.residual);
         candidates.retain(|candidate| {
             self.stage.admits(&candidate.kind)
@@ -211,7 +215,7 @@ impl Search<'_> {
     }
 
     /// What to try after a round that took none of `tried`: two causes that hide each other, the next
-    /// stage, sharper limits, two terms ahead, what takes two inputs together; in this order.
+    /// stage, sharper limits, two terms ahead, what takes two inputs together, what goes with the clock alone; in this order.
     fn widen(
         &mut self,
         scanned: Scan,
@@ -263,8 +267,12 @@ impl Search<'_> {
             }
         }
         // Many candidates, any of which may imitate a simple one: last.
-        if self.stage != Stage::Composed && self.breadth == Breadth::Composed {
+        if self.stage == Stage::All && self.breadth == Breadth::Composed {
             self.stage = Stage::Composed;
+            return Round::Widened;
+        }
+        if self.stage != Stage::ByTheClock {
+            self.stage = Stage::ByTheClock;
             return Round::Widened;
         }
         Round::Exhausted(scanned.hits)

@@ -56,6 +56,8 @@ pub(crate) enum Stage {
     All,
     /// What takes two recorded inputs together: the difference of two, or a range of one.
     Composed,
+    /// What comes and goes with the clock alone: before all else is tried, it would follow what is missing.
+    ByTheClock,
 }
 
 impl Stage {
@@ -70,7 +72,7 @@ impl Stage {
         match self {
             Self::OwnModel => cause.tier() == 0,
             Self::ActsAtOnce => cause.tier() == 0 || cause.tier() <= 1 && !is_late,
-            Self::All | Self::Composed => true,
+            Self::All | Self::ByTheClock | Self::Composed => true,
         }
     }
 
@@ -79,7 +81,7 @@ impl Stage {
         match self {
             Self::OwnModel => Some(Self::ActsAtOnce),
             Self::ActsAtOnce => Some(Self::All),
-            Self::All | Self::Composed => None,
+            Self::All | Self::ByTheClock | Self::Composed => None,
         }
     }
 }

@@ -136,8 +136,63 @@ impl Definition for PeriodicInTime {
         if survey.time_s().is_none() || survey.groups() < LEAST_GROUPS || survey.files() > 1 {
             return;
         }
-        if let Some(peak) = survey.peak(Reading::Time, LEAST_TURNS, FREQUENCIES) {
+        if let Some(peak) = survey.peak(Reading::Time, LEAST_TURNS, FREQUENCIES)
+            && !goes_with_an_input(survey, peak.starts[0][0])
+        {
             with(Self::neutral(survey.start_s()), peak);
         }
+    }
+}
+
+/// Returns true where something that was recorded comes and goes with this period too, or with one that the record hardly
+/// shows apart: a law of that input that changes in the record has such periods next to the input's own.
+fn goes_with_an_input(survey: &dyn Survey, period_s: f64) -> bool {
+    /// Share of an input's squares that is of this period.
+    const SHARE: f64 = 0.25;
+    /// Turns in the record, more and fewer.
+    const TURNS: [f64; 7] = [-1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5];
+    let (Some(time_s), Some([first_s, last_s])) = (survey.column("time_s"), survey.time_s()) else {
+        return false;
+    };
+    let near = |turns: f64| 1.0 / (1.0 / period_s + turns / (last_s - first_s));
+    let periods: Vec<f64> = TURNS.map(near).into_iter().filter(|s| *s > 0.0).collect();
+    let known = ["spindle_rpm", "load_n", "x_mm", "y_mm", "z_mm"];
+    let names = survey.temperatures().into_iter().chain(survey.others()).chain(known);
+    names
+        .filter_map(|name| survey.column(name))
+        .any(|values| periods.iter().any(|s| share_of_wave(time_s, values, *s) > SHARE))
+}
+
+/// Returns the share of the squares of `values` about their mean that a wave of this period has, 0…1.
+fn share_of_wave(time_s: &[f64], values: &[f64], period_s: f64) -> f64 {
+    let rows = || time_s.iter().zip(values).filter(|(t, v)| t.is_finite() && v.is_finite());
+    let count = rows().count() as f64;
+    let mean = rows().map(|(_, value)| value).sum::<f64>() / count;
+    let start_s = time_s.iter().copied().find(|t| t.is_finite()).unwrap_or(0.0);
+    let [mut all, mut sine, mut cosine] = [0.0; 3];
+    for (time, value) in rows() {
+        let (sin, cos) = (TAU * (time - start_s) / period_s).sin_cos();
+        let off = value - mean;
+        all += off * off;
+        sine += off * sin;
+        cosine += off * cos;
+    }
+    // Of whole turns the squares of a sine sum to half of the rows.
+    if all > 0.0 { 2.0 * (sine * sine + cosine * cosine) / (count * all) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_input_of_the_same_period_is_known_by_its_share() {
+        let time_s: Vec<f64> = (0..600).map(|row| 1.7e9 + 10.0 * f64::from(row)).collect();
+        let wave = |period: f64| -> Vec<f64> {
+            time_s.iter().map(|t| 20.0 + (TAU * (t - 1.7e9) / period + 0.7).sin()).collect()
+        };
+        let share = |period: f64| share_of_wave(&time_s, &wave(period), 600.0);
+        assert!((share(600.0) - 1.0).abs() < 1e-6 && share(300.0) < 1e-6, "{}", share(600.0));
+        assert_eq!(share_of_wave(&time_s, &vec![3.0; 600], 600.0), 0.0);
     }
 }
