@@ -162,4 +162,6 @@ causes! {
     Abbe = "unnamed-abbe", Compensated, [AxisGeometry];
     /// The shaft bows under its unbalance, outwards below a critical speed and inwards above it.
     CriticalSpeed = "unnamed-critical-speed", Unnamed, [Sensor, Temperature];
+    /// p + a·sin(2πt/L + φ): something that nobody recorded switches with the clock.
+    PeriodicInTime = "periodic-in-time", Reported, [Sensor, Temperature];
 }

@@ -1,5 +1,7 @@
 //! What each cause does to an elongation.
 
+use std::f64::consts::TAU;
+
 use super::{
     cause::Hidden,
     elongation::{Bench, COOLANT_PRESSURE, COOLANT_SWITCH, ElongationSource},
@@ -98,7 +100,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
             }
         }
         Hidden::CriticalSpeed => critical_speed(bench, stream),
-        Hidden::Step | Hidden::Drift | Hidden::Outliers => {
+        Hidden::Step | Hidden::Drift | Hidden::PeriodicInTime | Hidden::Outliers => {
             return Some(of_any_series(cause, runs, stream));
         }
         // The rest belongs to axes; `Hidden::bases` sends none of them here.
@@ -333,6 +335,24 @@ pub(super) fn of_any_series(cause: Hidden, runs: &[Run], stream: &mut Stream) ->
             "um_per_h",
             on_each(runs, |run| run.column("time_s").iter().map(|t| t / 3600.0).collect()),
         ),
+        Hidden::PeriodicInTime => {
+            let time_s = runs[0].column("time_s");
+            let record_s = time_s[time_s.len() - 1] - time_s[0];
+            let interval_s = record_s / (time_s.len() - 1) as f64;
+            let period_s = stream.log_uniform(20.0 * interval_s, record_s / 6.0);
+            let phase = stream.uniform(0.0, TAU);
+            let wave = |t: &f64| (TAU * t / period_s + phase).sin();
+            Shape {
+                at: Box::new(move |factor| {
+                    Named::of(&[("period_s", period_s), ("amplitude_um", factor)])
+                }),
+                ..linear(
+                    cause,
+                    "",
+                    on_each(runs, |run| run.column("time_s").iter().map(wave).collect()),
+                )
+            }
+        }
         _ => {
             let fraction = stream.uniform(0.008, 0.03);
             let both = stream.chance(0.5);

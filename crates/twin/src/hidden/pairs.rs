@@ -69,8 +69,9 @@ impl Hidden {
     pub fn stands_beside(self, other: Self) -> bool {
         let has_name = |cause: Self| cause.name() == cause.answer();
         let shares_base = self.bases().iter().any(|base| other.bases().contains(base));
-        // Its column is there for it alone, and any other cause goes with it: what one does says all.
-        if [self, other].contains(&Self::Dependence) {
+        // Its column is there for it alone, and any other cause goes with it: what one does says all. So it is with
+        // what only the clock tells.
+        if [self, other].iter().any(|it| [Self::Dependence, Self::PeriodicInTime].contains(it)) {
             return false;
         }
         if self == other || !shares_base || !has_name(self) || !has_name(other) {

@@ -1,0 +1,106 @@
+//! Where the position only grows with the time, an error along the axis and one in time are one question; what comes
+//! and goes with the clock alone is named, and never called explained.
+
+use std::{f64::consts::TAU, path::Path};
+
+use trueup_diagnose::{
+    Diagnosis, diagnose,
+    report::{Finding, Verdict},
+};
+use trueup_machine::{MachineFile, RunFile};
+use trueup_numerics::random::Generator;
+
+const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
+
+fn diagnosed(run: &str) -> Diagnosis {
+    let machine = MachineFile::parse(HEAD, Path::new("m.toml")).expect("the test's own file");
+    let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("the test's own run");
+    diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable")
+}
+
+fn finding<'d>(diagnosis: &'d Diagnosis, cause: &str) -> &'d Finding {
+    let found = diagnosis.report.findings.iter().find(|finding| finding.cause == cause);
+    found.unwrap_or_else(|| panic!("no {cause} in {:?}", diagnosis.report.findings))
+}
+
+fn number(finding: &Finding, name: &str) -> f64 {
+    finding.parameters[name]["value"].as_f64().expect("a number")
+}
+
+/// Rows of a pass along x at 11 mm/min, or with `ways` 2 there and back, with an error over the position.
+fn pass(has_clock: bool, ways: usize, error_um: impl Fn(f64) -> f64) -> String {
+    let mut noise = Generator::new(21);
+    let mut run = String::from(if has_clock { "time_s," } else { "" });
+    run += "x_mm,measured_dx_um\n";
+    for row in 0..400 * ways {
+        let back = if row < 400 { row } else { 799 - row };
+        let x_mm = 0.37 * back as f64;
+        if has_clock {
+            run += &format!("{},", 2 * row);
+        }
+        run += &format!("{x_mm:.3},{:.3}\n", error_um(x_mm) + 0.4 * noise.normal());
+    }
+    run
+}
+
+#[test]
+fn a_wave_of_one_pass_is_compensated_and_not_claimed_with_a_clock_or_without() {
+    let wave = |x_mm: f64| 4.0 * (TAU * x_mm / 25.0).sin();
+    for has_clock in [true, false] {
+        let diagnosis = diagnosed(&pass(has_clock, 1, wave));
+        let found = finding(&diagnosis, "pitch-periodic");
+        println!("clock {has_clock}: {:?}", found.evidence);
+        assert!(!found.claimed && found.compensated, "{found:?}");
+        assert!((number(found, "period_mm") - 25.0).abs() < 0.5, "{found:?}");
+        assert_eq!(found.rivals[0].cause, "periodic-in-time", "{:?}", found.rivals);
+        assert!(found.next_test.contains("there and back"), "{}", found.next_test);
+        assert_eq!(diagnosis.report.verdict, Verdict::PartlyExplained);
+    }
+    // There and back: the place comes again at another time.
+    let found = diagnosed(&pass(true, 2, wave));
+    assert!(finding(&found, "pitch-periodic").claimed);
+}
+
+#[test]
+fn a_scale_of_one_pass_may_be_a_drift_with_a_clock_or_without() {
+    let line = |x_mm: f64| 0.05 * x_mm;
+    for has_clock in [true, false] {
+        let diagnosis = diagnosed(&pass(has_clock, 1, line));
+        let found = finding(&diagnosis, "pitch-scale");
+        assert!(!found.claimed && found.compensated, "{found:?}");
+        assert!((number(found, "um_per_m") - 50.0).abs() < 1.0, "{found:?}");
+        assert_eq!(found.rivals[0].cause, "drift", "{:?}", found.rivals);
+        assert_eq!(diagnosis.report.verdict, Verdict::PartlyExplained);
+    }
+    assert!(finding(&diagnosed(&pass(true, 2, line)), "pitch-scale").claimed);
+}
+
+/// A chiller that nobody recorded: 3 µm every 23 min; the clock counts from 1970.
+fn chiller(bed_swings: bool) -> String {
+    let mut noise = Generator::new(22);
+    let mut run = String::from("time_s,temp_bed_c,measured_dz_um\n");
+    for row in 0..500 {
+        let time_s = 30.0 * f64::from(row);
+        let swing = (TAU * time_s / 1380.0 + 1.0).sin();
+        let bed = 22.0 + if bed_swings { 0.5 * swing } else { 0.0 } + 0.02 * noise.normal();
+        let um = 3.0 * swing + 0.6 * noise.normal();
+        run += &format!("{},{bed:.3},{um:.3}\n", 1.76e9 + time_s);
+    }
+    run
+}
+
+#[test]
+fn what_comes_and_goes_with_the_clock_is_named_and_not_called_explained() {
+    let diagnosis = diagnosed(&chiller(false));
+    let found = finding(&diagnosis, "periodic-in-time");
+    println!("{}", found.sentence);
+    assert!(found.claimed && !found.compensated, "{found:?}");
+    assert!((number(found, "period_s") - 1380.0).abs() < 10.0, "{found:?}");
+    assert!((number(found, "amplitude_um") - 3.0).abs() < 0.2, "{found:?}");
+    assert_eq!(diagnosis.report.verdict, Verdict::PartlyExplained);
+    println!("written: {:?}", diagnosis.terms);
+    // A thermometer that goes with it is what is named.
+    let diagnosis = diagnosed(&chiller(true));
+    assert!(diagnosis.report.findings.iter().all(|it| it.cause != "periodic-in-time"));
+    assert_eq!(finding(&diagnosis, "extra-heat-path").column.as_deref(), Some("temp_bed_c"));
+}
