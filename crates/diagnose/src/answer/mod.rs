@@ -25,6 +25,7 @@ mod range;
 mod ranges;
 pub mod report;
 mod shortfall;
+mod slow_step;
 mod transfer;
 mod unseen;
 mod verdict;
@@ -250,6 +251,7 @@ pub(crate) fn conclude(
         .map(|it| {
             let mut finding = finding(problem, it, found.folds.unit);
             finding.gain.by_row(within);
+            slow_step::tell_duration(&mut finding, &it.part, &data, &after);
             if dropped.contains(it.cause()) {
                 finding.leave_out();
             }

@@ -48,6 +48,7 @@ mod heat;
 mod law;
 mod outliers;
 mod page;
+mod periodic_in_time;
 mod pitch_error;
 mod pitch_periodic;
 mod pitch_scale;
