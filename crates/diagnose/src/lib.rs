@@ -161,10 +161,10 @@ impl Diagnosis {
         next::told_apart_by(&self.questions, &self.data, run)
     }
 
-    /// Whether the extended machine file corrects anything.
+    /// Whether a board corrects anything by the extended machine file: not what only explains.
     #[must_use]
     pub fn corrects(&self) -> bool {
-        !self.terms.is_empty() || !self.corrected.is_empty()
+        self.terms.iter().any(|term| term.effect.is_compensated()) || !self.corrected.is_empty()
     }
 
     /// `extended.toml`: the machine file `source` (at `path`, for errors) with the terms.
