@@ -59,7 +59,6 @@ mod rivals;
 pub(crate) mod table;
 
 use serde_json::{Map, Value};
-use trueup_machine::effect::{Cause, Effect};
 use trueup_numerics::parallel::on_all_cores;
 
 use crate::search::smoothing::only_smooths;
@@ -197,7 +196,8 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         doubts.extend(alone_does_as_well(case, cause).map(Doubt::Rival));
     }
     doubts.extend(table_beside(case, part).map(Doubt::BesideTable));
-    doubts.extend(of_one_pass(problem, part).map(Doubt::OnePass));
+    let same = part.kind.cause().filter(|_| problem.data.is_one_pass);
+    doubts.extend(same.and_then(|cause| cause.same_in_one_pass()).map(Doubt::OnePass));
     let repeated = repeated(case, cause);
     match &repeated {
         // Its repeats are the judge of a table, not what it leaves.
@@ -230,19 +230,6 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
         bound: bound::interval(problem, &found.fitted, cause, |with| case.bic_gap(with) < PROFILE),
         left_out_without,
     })
-}
-
-/// Returns the cause of the time that a line or a wave over the position is the same as, where that only grew with the
-/// time.
-fn of_one_pass(problem: &Problem, part: &Part) -> Option<&'static str> {
-    let cause = part.kind.cause().filter(|_| problem.data.is_one_pass)?;
-    match cause {
-        Effect::PitchPeriodic(_) => Some(Cause::PeriodicInTime.name()),
-        Effect::PitchScale(_) => Some(Cause::Drift.name()),
-        Effect::PeriodicInTime(_) => Some(Cause::PitchPeriodic.name()),
-        Effect::Drift(_) => Some(Cause::PitchScale.name()),
-        _ => None,
-    }
 }
 
 /// Why it is doubted how much a term does, by its values and by what the answer leaves `without` it on

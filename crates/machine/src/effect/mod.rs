@@ -46,6 +46,7 @@ mod growth_amplitude;
 mod growth_rate;
 mod heat;
 mod law;
+mod nonlinear;
 mod outliers;
 mod page;
 mod periodic_in_time;

@@ -25,6 +25,7 @@ use crate::{
 };
 
 pub use super::forms::{Angle, Heat, Late, LateForm, SpeedHeat, Tilt, Times};
+pub use super::nonlinear::Nonlinear;
 pub use super::quantity::Quantity;
 pub use crate::file::write::section::Value;
 
@@ -110,49 +111,6 @@ pub enum Home {
     Heat,
     /// Whatever is measured.
     Any,
-}
-
-/// What a nonlinear value is, and with that how it may be varied.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Nonlinear {
-    /// In s, above 0: between the spacing of the rows and three times the longest record.
-    TimeConstant,
-    /// The same while it falls: also within a factor of five of the one while it rises.
-    FallingTimeConstant,
-    /// In mm, above 0: between the spacing of the positions and most of the travel.
-    Period,
-    /// In s, above 0: between the spacing of the rows and a third of the record.
-    TimePeriod,
-    /// The same of an instrument's reading, without a bound.
-    ReadingPeriod,
-    /// A position in mm.
-    Origin,
-    /// In s: up to a tenth of the longest record; below 0 only with a second clock.
-    Shift,
-    /// In s, above 0: how late a thermometer is, up to a tenth of the longest record.
-    Late,
-    /// In µm, inside the range of the prediction.
-    Limit,
-    /// A time in s. It is searched, not fitted.
-    Instant,
-    /// The value of a column from which a line begins, within [`Page::nonlinear_limits`].
-    Bend,
-}
-
-impl Nonlinear {
-    /// Whether it is varied by ratios.
-    #[must_use]
-    pub fn is_logarithmic(self) -> bool {
-        matches!(
-            self,
-            Self::TimeConstant
-                | Self::FallingTimeConstant
-                | Self::Late
-                | Self::Period
-                | Self::TimePeriod
-                | Self::ReadingPeriod
-        )
-    }
 }
 
 /// A key of a `[[term]]` and what it is.
@@ -441,6 +399,12 @@ pub trait Page {
 
     /// What at the machine may be repaired in place of being corrected.
     fn repair(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// The cause that would look the same where the position only grows with the time: of one over the position one over
+    /// the time, and the other way round.
+    fn same_in_one_pass(&self) -> Option<&'static str> {
         None
     }
 

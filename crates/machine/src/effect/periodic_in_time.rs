@@ -91,6 +91,10 @@ impl Page for PeriodicInTime {
          as a column."
     }
 
+    fn same_in_one_pass(&self) -> Option<&'static str> {
+        Some(super::PitchPeriodic::NAME)
+    }
+
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         vec![Parameter::Waves("period_s", vec![1])]
     }

@@ -88,6 +88,10 @@ impl Page for PitchPeriodic {
          elsewhere: it must repeat with the same phase."
     }
 
+    fn same_in_one_pass(&self) -> Option<&'static str> {
+        Some(super::PeriodicInTime::NAME)
+    }
+
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let harmonics = self.waves.iter().map(|wave| wave.harmonic).collect();
         let mut parameters = vec![Parameter::Waves("period_mm", harmonics)];

@@ -61,6 +61,10 @@ impl Page for PitchScale {
         )
     }
 
+    fn same_in_one_pass(&self) -> Option<&'static str> {
+        Some(super::Drift::NAME)
+    }
+
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         vec![Parameter::Fitted("um_per_m", 0, 0.0)]
     }
