@@ -5,6 +5,7 @@
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod fake_bridge;
+mod stock_files;
 
 use std::{
     fs,
@@ -24,7 +25,10 @@ use trueup_emulator::{
     setup::{self, LinuxCnc},
 };
 
-use self::fake_bridge::FakeBridge;
+use self::{
+    fake_bridge::FakeBridge,
+    stock_files::{INI, OWN, ini},
+};
 
 const MAX_VELOCITY: f64 = 30.0;
 const MAX_ACCELERATION: f64 = 1_000.0;
@@ -39,76 +43,6 @@ const NOISE_OF_ACCELERATION: f64 = 2.0;
 /// Where the probe closes and the home switch of X is, by the drives, in mm.
 const SURFACE: f64 = -5.0;
 const SWITCH: f64 = -2.0;
-
-const INI: &str = "\
-[EMC]
-VERSION = 1.1
-MACHINE = stock
-[DISPLAY]
-DISPLAY = FOLDER/SCREEN
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = sim.var
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 30.0
-BASE_PERIOD = 0
-SERVO_PERIOD = 1000000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.100
-TOOL_TABLE = sim.tbl
-[HAL]
-HALFILE = core_sim.hal
-HALFILE = own.hal
-[TRAJ]
-COORDINATES = X Y Z
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-MAX_LINEAR_VELOCITY = 53
-[KINS]
-KINEMATICS = trivkins
-JOINTS = 3
-";
-/// A switch, a probe, and a recorder whose pins are connected later.
-const OWN: &str = "\
-loadrt comp names=switch,probe
-loadrt sampler depth=16000 cfg=fffffffffffffb
-addf switch servo-thread
-addf probe servo-thread
-addf sampler.0 servo-thread
-setp switch.in0 -2
-setp probe.in1 -5
-setp probe.hyst 0
-setp switch.hyst 0
-net Xpos => switch.in1
-net Zpos => probe.in0
-net at-switch switch.out => joint.0.home-sw-in
-net touched probe.out => motion.probe-input
-";
-
-fn ini() -> String {
-    let mut text = INI.to_string();
-    for (joint, (axis, home)) in ["X", "Y", "Z"].iter().zip([true, false, false]).enumerate() {
-        let motion = format!(
-            "MIN_LIMIT = -50\nMAX_LIMIT = 50\nMAX_VELOCITY = {MAX_VELOCITY}\nMAX_ACCELERATION = {MAX_ACCELERATION}\n"
-        );
-        // The switch closes above -2 mm: found at 10 mm/s, then left at 0.1 mm/s.
-        let home = if home {
-            format!(
-                "HOME_SEARCH_VEL = 10\nHOME_LATCH_VEL = -0.1\nHOME_OFFSET = {SWITCH}\nHOME = 0\nHOME_SEQUENCE = 0\n"
-            )
-        } else {
-            "HOME_SEARCH_VEL = 0\nHOME_LATCH_VEL = 0\nHOME = 0\nHOME_SEQUENCE = 1\n".into()
-        };
-        text += &format!(
-            "[AXIS_{axis}]\n{motion}[JOINT_{joint}]\nTYPE = LINEAR\nBACKLASH = 0.000\nFERROR = 1\nMIN_FERROR = 0.25\n{motion}{home}"
-        );
-    }
-    text
-}
 
 /// One servo cycle, in mm.
 #[derive(Clone, Copy, Debug, Default)]

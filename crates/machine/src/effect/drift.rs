@@ -105,10 +105,6 @@ impl Page for Drift {
         }
     }
 
-    fn same_in_one_pass(&self) -> Option<&'static str> {
-        matches!(self, Self::InTime { .. }).then_some(super::PitchScale::NAME)
-    }
-
     fn parameters(&self, _: &[f64]) -> Vec<Parameter> {
         vec![Parameter::Fitted(self.rate().0, 0, 0.0)]
     }
