@@ -63,7 +63,7 @@ fn set(mark: u32) {
     }
 }
 
-/// The number of the task that ran; 0: none is known. For a board with a watchdog of its own.
+/// Returns the number of the task that ran; 0: none is known. For a board with a watchdog of its own.
 #[cfg(feature = "stm32f405")]
 pub fn mark() -> u8 {
     let [number, ..] = (running().load(Ordering::Relaxed) ^ MARK).to_le_bytes();

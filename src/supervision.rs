@@ -98,7 +98,7 @@ impl Supervision {
         question != Fault::OlderCalibration || self.keep_running(blob)
     }
 
-    /// Whether no block came since the last turn; a change is logged.
+    /// Returns whether no block came since the last turn; a change is logged.
     pub fn samples_are_missing(&mut self, blocks: u32) -> bool {
         let missing = blocks == self.blocks;
         match (missing, self.silent) {
@@ -158,7 +158,7 @@ impl Supervision {
         }
     }
 
-    /// True once a second.
+    /// Returns true once a second.
     pub fn log_is_due(&mut self) -> bool {
         self.until_log_ms = self.until_log_ms.saturating_sub(PERIOD_MS);
         let due = self.until_log_ms == 0;

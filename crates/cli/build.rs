@@ -78,7 +78,7 @@ fn main() {
     fs::write(out.join("carried.rs"), list + "]").expect("OUT_DIR can be written");
 }
 
-/// Whether all images are there and none is older than what it is built from.
+/// Returns whether all images are there and none is older than what it is built from.
 fn is_fresh(root: &Path, folder: &Path, with_commit: &[PathBuf]) -> bool {
     let changed = |path: &Path| fs::metadata(path).and_then(|it| it.modified()).ok();
     let images = IMAGES.map(|name| changed(&folder.join(name)));

@@ -58,7 +58,7 @@ fn assert_nothing_left(command: &Running) -> Result<()> {
     Ok(())
 }
 
-/// Every file in a folder, with its size and the time at which it was last written.
+/// Returns every file in a folder, with its size and the time at which it was last written.
 fn inventory(folder: &Path) -> Result<BTreeMap<PathBuf, (u64, SystemTime)>> {
     if !folder.exists() {
         return Ok(BTreeMap::new());
@@ -213,7 +213,7 @@ fn a_plant_that_does_not_listen_or_talks_nonsense_is_named() -> Result<()> {
     assert_nothing_left(&command)
 }
 
-/// A folder with everything that is on the search path, but for these programs.
+/// Returns a folder with everything that is on the search path, but for these programs.
 fn path_without(programs: &[&str]) -> Result<TempDir> {
     let folder = tempfile::tempdir()?;
     let path = std::env::var_os("PATH").context("there is a search path")?;
@@ -280,7 +280,7 @@ fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()>
     Ok(())
 }
 
-/// A client that has opened the channel and reads until the line ends; gives how much it read.
+/// Returns a client that has opened the channel and reads until the line ends; gives how much it read.
 fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
     let mut stream = opened(bridge)?;
     Ok(thread::spawn(move || {
@@ -292,7 +292,7 @@ fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
     }))
 }
 
-/// A client's line on which frames have begun to come.
+/// Returns a client's line on which frames have begun to come.
 fn opened(bridge: &Bridge) -> Result<TcpStream> {
     let mut stream = bridge.connect()?;
     stream.write_all(OPEN)?;
@@ -424,7 +424,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
     Ok(())
 }
 
-/// The log from the start to the first line that the board writes of its own accord. It comes
+/// Returns the log from the start to the first line that the board writes of its own accord. It comes
 /// beside the frames, so it may come later.
 fn log_of(board: &VirtualBoard) -> Result<String> {
     let end = Instant::now() + PATIENCE;

@@ -150,13 +150,13 @@ impl<'a> Loop<'a> {
     }
 }
 
-/// The record of a machine that the bridge corrects with what is believed: what the monitor writes, and
+/// Returns the record of a machine that the bridge corrects with what is believed: what the monitor writes, and
 /// beside it what an instrument reads, 0.1 µm good.
 fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFile {
     record_of(truth, believed, engaged, is_axis, 1.0)
 }
 
-/// The same of a CNC that moves the tool by `factor` times what the bridge says.
+/// Returns the same of a CNC that moves the tool by `factor` times what the bridge says.
 fn record_of(truth: &str, believed: &str, engaged: Engaged, is_axis: bool, factor: f64) -> RunFile {
     let compiled = compile(&machine(believed)).expect("it fits the board");
     let mut board = Loop::new(Node::new(Some(compiled.calibration()), false));
@@ -333,7 +333,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
     assert!(largest > 10.0 && worst < 0.35, "{largest} {worst}");
 }
 
-/// The answer to `records`, and whether the machine file stays as it is.
+/// Returns the answer to `records`, and whether the machine file stays as it is.
 fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
     let machine = machine(believed);
     let answer =
@@ -344,7 +344,7 @@ fn answered(believed: &str, records: &[RunFile]) -> (Report, bool) {
     (answer.report, stays)
 }
 
-/// The machine file of each machine as it is: only the CNC is wrong.
+/// Returns the machine file of each machine as it is: only the CNC is wrong.
 fn machines() -> [(String, String, bool); 2] {
     let spindle = SPINDLE.replace("gain = 0.8", "gain = 1.0");
     let axis = AXIS_BELIEVED.replace("_per_c = 10.0", "_per_c = 12.5");

@@ -15,7 +15,7 @@ use trueup_emulator::{cnc::Cnc, setup};
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_store::calibration::identity;
 
-/// What the tool prints as JSON, one value or more, and its exit code.
+/// Returns what the tool prints as JSON, one value or more, and its exit code.
 fn json_of(arguments: &[&str]) -> Result<(Option<i32>, Vec<Value>, String)> {
     let output = trueup()?.arg("--json").args(arguments).output()?;
     let text = String::from_utf8(output.stdout)?;
@@ -24,7 +24,7 @@ fn json_of(arguments: &[&str]) -> Result<(Option<i32>, Vec<Value>, String)> {
     Ok((output.status.code(), values, String::from_utf8(output.stderr)?))
 }
 
-/// The fast machine, with growth times `gain`, as a calibration in a file.
+/// Returns the fast machine, with growth times `gain`, as a calibration in a file.
 fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, String)> {
     let machine = file(folder, "machine.toml", FAST_MACHINE)?;
     let mut machine = MachineFile::read(machine.as_ref())?;
@@ -36,7 +36,7 @@ fn calibration(folder: &TempDir, name: &str, gain: f64) -> Result<(String, Strin
     Ok((path, format!("{:08x}", identity(compiled.blob()))))
 }
 
-/// What a CNC that engages gets once it is live and has arrived.
+/// Returns what a CNC that engages gets once it is live and has arrived.
 fn live_z_um(bridge: &Bridge) -> Result<f64> {
     let mut cnc = Cnc::open(bridge.connect()?)?;
     // The tool has loaded while this CNC was away.

@@ -86,7 +86,7 @@ fn um(nm: i32) -> f64 {
     f64::from(nm) / 1_000.0
 }
 
-/// The number and the values of an item of a status frame.
+/// Returns the number and the values of an item of a status frame.
 fn item(item: Item) -> (u8, Values) {
     let number = |n: u16| f64::from(n);
     match item {
@@ -124,7 +124,7 @@ fn item(item: Item) -> (u8, Values) {
     }
 }
 
-/// What our codec makes of a frame, and of that again.
+/// Returns what our codec makes of a frame, and of that again.
 fn ours(frame: &Frame) -> Result<(Frame, Values), DecodeError> {
     let counter = frames::counter(frame);
     Ok(match frame.id() {
@@ -337,7 +337,7 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
     Ok(())
 }
 
-/// A frame with so many bits wrong, anywhere.
+/// Returns a frame with so many bits wrong, anywhere.
 fn flipped(random: &mut Random, id: u16, mut data: [u8; 8], bits: u32) -> Result<Frame> {
     let first = random.below(64);
     for n in 0..bits {

@@ -33,7 +33,7 @@ use trueup_machine::{Compiled, MachineFile, compile};
 use trueup_pipe::{Block, FRAMES};
 use trueup_store::calibration::identity;
 
-/// The fast machine, with growth times `gain`.
+/// Returns the fast machine, with growth times `gain`.
 fn compiled(gain: f64) -> Result<Compiled> {
     let folder = tempfile::tempdir()?;
     let machine = file(&folder, "machine.toml", FAST_MACHINE)?;

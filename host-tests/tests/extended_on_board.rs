@@ -41,7 +41,7 @@ const COUNTS_PER_C: f64 = 16.0;
 const PLAYED_S: f64 = 2_700.0;
 const DIVIDER: f64 = 0.33;
 
-/// The machine file with what a board needs beside the model: an input for each thermometer of the
+/// Returns the machine file with what a board needs beside the model: an input for each thermometer of the
 /// run, and limits that do not bind.
 fn on_a_board(model: &str, run: &RunFile) -> String {
     let mut text = model.to_string();
@@ -62,12 +62,12 @@ fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-/// A run as text, and what is taken of it.
+/// Returns a run as text, and what is taken of it.
 fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run file")
 }
 
-/// The rows of a run for which `is_taken` holds, counted from 0.
+/// Returns the rows of a run for which `is_taken` holds, counted from 0.
 fn rows(text: &str, is_taken: impl Fn(usize) -> bool) -> String {
     let mut lines = text.lines();
     let mut taken = lines.next().expect("a header").to_string() + "\n";
@@ -78,7 +78,7 @@ fn rows(text: &str, is_taken: impl Fn(usize) -> bool) -> String {
     taken
 }
 
-/// What the board's offsets leave of the measured error, row for row, in µm.
+/// Returns what the board's offsets leave of the measured error, row for row, in µm.
 fn left_by_the_board(
     machine: &Machine,
     run: &RunFile,
@@ -162,7 +162,7 @@ fn left_by_the_board(
     left
 }
 
-/// How long the temperatures take from row to row.
+/// Returns how long the temperatures take from row to row.
 fn swept_s(from: RawTemperatures, to: RawTemperatures) -> f64 {
     let counts = from.iter().zip(to).map(|(from, to)| from.0.abs_diff(to.0)).max();
     f64::from(counts.unwrap_or_default()) / COUNTS_PER_C / SWEPT_C_PER_S

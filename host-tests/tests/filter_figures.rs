@@ -37,7 +37,7 @@ fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.map(f64::abs).fold(0.0, f64::max)
 }
 
-/// A code of the ideal converter, without noise.
+/// Returns a code of the ideal converter, without noise.
 fn ideal(nm: f64) -> Code {
     Code((nm / NM_PER_CODE).round().clamp(0.0, 4095.0) as u16)
 }
@@ -127,7 +127,7 @@ fn a_step_has_settled_to_1_percent_after_5_revolutions_and_20_ms() {
     println!("step: slowest takes {slowest:.2} of 5 revolutions and 20 ms");
 }
 
-/// The filter in `f64`, from its definition: sums of four, two means over exactly one revolution
+/// Returns the filter in `f64`, from its definition: sums of four, two means over exactly one revolution
 /// with fractional ends, every fifth value.
 fn reference(codes: &[f64], revolution: f64) -> Vec<Option<f64>> {
     let mean = |values: &[f64]| -> Option<f64> {

@@ -59,7 +59,7 @@ fn fuzz(name: &str, seeds: &[Vec<u8>], feed: fn(&mut Vec<u8>)) {
     println!("{name}: {} inputs", count.load(Relaxed));
 }
 
-/// A seed with what was drawn done to it: four bytes a change, what, where (two), and with what.
+/// Returns a seed with what was drawn done to it: four bytes a change, what, where (two), and with what.
 fn changed(seeds: &[Vec<u8>], drawn: &[u8]) -> Vec<u8> {
     let (which, changes) = drawn.split_first().unwrap_or((&0, &[]));
     let mut bytes = seeds[usize::from(*which) % seeds.len()].clone();
@@ -198,7 +198,7 @@ fn any_bytes_in_the_flash_can_be_started_on_and_stored_over() {
     });
 }
 
-/// A node that a master may change.
+/// Returns a node that a master may change.
 fn in_service<'a>() -> Node<'a> {
     let mut node = Node::new(None, false);
     for counter in 0..4 {

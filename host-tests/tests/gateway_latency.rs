@@ -77,7 +77,7 @@ impl Watch {
         Ok(Self { child, lines })
     }
 
-    /// The next line that it prints.
+    /// Returns the next line that it prints.
     fn told(&mut self) -> Result<Value> {
         let mut line = String::new();
         self.lines.read_line(&mut line)?;
@@ -96,8 +96,8 @@ impl Drop for Watch {
 /// The day's clock, in ms; the wire has no offset beyond this.
 const CLOCK_MS: u128 = 500_000;
 
-/// A bridge whose Z says when: milliseconds of the day's clock, one count of the wire each. X is minus that, Y the same.
-/// Whoever has gone, or was thought dead on a computer that stood still, may come again.
+/// Returns a bridge whose Z says when: milliseconds of the day's clock, one count of the wire each. X is minus that, Y
+/// the same. Whoever has gone, or was thought dead on a computer that stood still, may come again.
 fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let address = listener.local_addr()?.to_string();
@@ -114,7 +114,7 @@ fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
     Ok(address)
 }
 
-/// A pair of offsets each millisecond, as long as somebody listens.
+/// Returns a pair of offsets each millisecond, as long as somebody listens.
 fn tell_the_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
@@ -159,7 +159,7 @@ fn processor_s(id: u32) -> Result<f64> {
     Ok((ticks[10] + ticks[11]) / TICKS_PER_SECOND)
 }
 
-/// A gateway between a bridge and a PLC of this language, and the PLC.
+/// Returns a gateway between a bridge and a PLC of this language, and the PLC.
 fn between(language: Language, bridge: &str) -> Result<(Running, Watch)> {
     let mut command = trueup()?;
     command.args(["gateway", if matches!(language, Language::S7) { "s7" } else { "modbus" }]);

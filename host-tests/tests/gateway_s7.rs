@@ -83,7 +83,7 @@ impl Plc {
         }
     }
 
-    /// The largest step that the NCK has got, and by how much one was above the slew limit.
+    /// Returns the largest step that the NCK has got, and by how much one was above the slew limit.
     fn steps(&self) -> (f64, f64) {
         let (mut largest, mut above) = (0.0_f64, f64::MIN);
         let mut last: Option<(f64, [f64; 3])> = None;
@@ -127,7 +127,7 @@ fn gateway(plc: &Plc, port: &str) -> Result<Running> {
     Running::start(command.args(["--port", port]))
 }
 
-/// A PLC that follows a bridge that has grown.
+/// Returns a PLC that follows a bridge that has grown.
 fn following() -> Result<(Bridge, Plc, Running)> {
     let bridge = Bridge::start_grown()?;
     let mut plc = Plc::start(&[])?;

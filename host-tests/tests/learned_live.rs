@@ -18,7 +18,7 @@ const NOISE_UM: f64 = 0.1;
 /// A part of 1 % takes so long.
 const WAY_MS: u32 = 100_000;
 
-/// The paper's spindle with these caps.
+/// Returns the paper's spindle with these caps.
 fn paper(learned: LearnedCaps) -> Machine {
     let mut machine = bench::paper();
     machine.limits.learned = learned;

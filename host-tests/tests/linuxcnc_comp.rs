@@ -90,7 +90,7 @@ fn run(
     Ok(added)
 }
 
-/// What each motor's command is off its joint's, in mm. The backlash filter ends a few billionths
+/// Returns what each motor's command is off its joint's, in mm. The backlash filter ends a few billionths
 /// beside its goal, so it is watched until it rests.
 fn settled(cnc: &mut Headless) -> Result<[f64; 3]> {
     let pins: Vec<String> = ["backlash-filt", "motor-pos-cmd", "pos-cmd", "motor-offset"]

@@ -141,7 +141,7 @@ impl Cnc {
         Ok([seen[0] * self.mm, -seen[1] * self.mm])
     }
 
-    /// What the learner was given since the last time, in µm.
+    /// Returns what the learner was given since the last time, in µm.
     fn readings(&mut self) -> Result<Vec<f64>> {
         let path = self.headless.folder().join("readings.txt");
         let text = fs::read_to_string(&path).unwrap_or_default();
@@ -149,7 +149,7 @@ impl Cnc {
         Ok(text.lines().map(str::parse).collect::<Result<_, _>>()?)
     }
 
-    /// The modes of the job, F included to a millionth, and where Z stands in mm; as MDI has them.
+    /// Returns the modes of the job, F included to a millionth, and where Z stands in mm; as MDI has them.
     fn modes(&mut self) -> Result<(Value, f64)> {
         let stat = self.stat()?;
         let mut codes = stat["gcodes"].as_array().context("no modes")?.clone();

@@ -13,7 +13,7 @@ use trueup_emulator::{
     firmware::{self, Board},
 };
 
-/// What is called with what comes from outside. The virtual board has no line for a PLC.
+/// Returns what is called with what comes from outside. The virtual board has no line for a PLC.
 fn entries(board: Board) -> &'static [&'static str] {
     match board {
         Board::Stm32f405 => {

@@ -60,7 +60,7 @@ fn chromium() -> Option<std::path::PathBuf> {
     ["chromium", "chromium-browser", "google-chrome"].into_iter().find_map(process::find)
 }
 
-/// What the browser says of a page at this width.
+/// Returns what the browser says of a page at this width.
 fn probed(browser: &Path, folder: &Path, html: &str, width: u32, dark: bool) -> serde_json::Value {
     let file = folder.join("page.html");
     fs::write(&file, html.replacen("</head>", PROBE, 1)).expect("written");
@@ -139,7 +139,7 @@ fn acceptance() -> String {
     it.expect("comparable").html("a spindle", &trueup_page::Origin::default(), &[])
 }
 
-/// The page of the loop with LinuxCNC, of figures that nobody has measured.
+/// Returns the page of the loop with LinuxCNC, of figures that nobody has measured.
 fn loop_with_linuxcnc() -> String {
     let curve = |size_um: f64| {
         let at: Vec<f64> = (0..500).map(f64::from).collect();

@@ -27,7 +27,7 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or(f64::NAN)
 }
 
-/// Whether the range in `value` lies within `tolerance` of `expected`.
+/// Returns whether the range in `value` lies within `tolerance` of `expected`.
 fn is_near(value: &Value, expected: f64, tolerance: f64) -> bool {
     [0, 1].iter().all(|&end| (number(&value[end]) - expected).abs() <= tolerance)
 }
@@ -146,7 +146,7 @@ impl Terminal {
         Ok(Self { stream: bridge.connect()?, frames: 0 })
     }
 
-    /// What the board answers to a line, with its end.
+    /// Returns what the board answers to a line, with its end.
     fn ask(&mut self, line: &str) -> Result<String> {
         self.stream.write_all(format!("{line}\r").as_bytes())?;
         loop {
@@ -157,7 +157,7 @@ impl Terminal {
         }
     }
 
-    /// The next thing that the board says, up to a carriage return or a bell.
+    /// Returns the next thing that the board says, up to a carriage return or a bell.
     fn next(&mut self) -> Result<String> {
         let (mut said, mut byte) = (String::new(), [0]);
         while !said.ends_with(['\r', '\x07']) {

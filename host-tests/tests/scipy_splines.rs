@@ -25,7 +25,7 @@ use trueup_fit::{
 };
 use trueup_machine::file::BSpline;
 
-/// What `host-tests/python/splines.py` answers.
+/// Returns what `host-tests/python/splines.py` answers.
 fn scipy(asked: &Value) -> Result<Value> {
     let mut python = Command::new(setup::python()?)
         .arg(setup::root().join("host-tests/python/splines.py"))
@@ -44,7 +44,7 @@ fn numbers(value: &Value) -> Result<Vec<f64>> {
     all.map(|number| number.as_f64().context("a number")).collect()
 }
 
-/// The largest difference, as a share of the largest value.
+/// Returns the largest difference, as a share of the largest value.
 fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
     assert_eq!(ours.len(), theirs.len());
     assert!(ours.iter().all(|value| value.is_finite()));
@@ -52,7 +52,7 @@ fn difference(ours: &[f64], theirs: &[f64]) -> f64 {
     ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest
 }
 
-/// A spline of random order, knots (some of them double) and control points.
+/// Returns a spline of random order, knots (some of them double) and control points.
 fn random_spline(random: &mut ChaCha8Rng) -> BSpline {
     let order = random.random_range(2..=4);
     let (first, travel) = (random.random_range(-5e3..5e3), random.random_range(10.0..15e3));

@@ -28,7 +28,7 @@ const APART: [&str; 2] = ["core3fmt5write", "rust_begin_unwind"];
 const TEXTS: u64 = 3;
 const INIT: &str = "__rtic_init_resources";
 
-/// What calls through a pointer that is not in it: a formatter its output, an output its bytes, both counted
+/// Returns what calls through a pointer that is not in it: a formatter its output, an output its bytes, both counted
 /// apart; `__pre_init` returns to an address that it holds in a register, because it tests the RAM.
 fn is_known(name: &str) -> bool {
     name.contains("core3fmt") || name == "__pre_init"

@@ -16,7 +16,7 @@ use trueup_store::reference::RECORD_SIZE;
 const ON: Control = Control::REFERENCED;
 const ZERO: Control = Control { zero: true, ..Control::REFERENCED };
 
-/// The paper's spindle, and growth times `gain`.
+/// Returns the paper's spindle, and growth times `gain`.
 fn compiled(gain: f64) -> Compiled {
     let mut machine = paper();
     machine.spindle.sensor.as_mut().expect("it has one").um_per_count *= gain;

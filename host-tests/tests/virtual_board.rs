@@ -37,7 +37,7 @@ fn boot() -> VirtualBoard {
     VirtualBoard::boot(&image, compiled().blob()).expect("the board boots")
 }
 
-/// A life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
+/// Returns a life with everything in it: growth, a speed that changes, a broken wire, spikes, a CNC that
 /// engages, disengages, sends damaged and repeated frames, falls silent and comes back.
 fn eventful_life(ms: u32) -> Vec<Block> {
     let mut front_end = FrontEnd::new(0.328, 42);

@@ -45,7 +45,7 @@ struct At {
 }
 
 impl Sender {
-    /// The frames of the next millisecond: positions and angles every 2 ms, `Control` every 20.
+    /// Returns the frames of the next millisecond: positions and angles every 2 ms, `Control` every 20.
     fn frames(&mut self, at: &At) -> [Option<Frame>; FRAMES] {
         let mut sent = [None; FRAMES];
         let counters = &mut self.counters;
@@ -132,7 +132,7 @@ fn growth_um(hours: f64) -> f64 {
     s0 + (s1 - s0) * ((hours - t0) / (t1 - t0)).min(1.0)
 }
 
-/// A millisecond of codes whose mean is the sensor's reading, alive by ±1.
+/// Returns a millisecond of codes whose mean is the sensor's reading, alive by ±1.
 fn codes(sensor_um: f64, ms: u32) -> [Code; 20] {
     // The divider of the wiring takes 10 V, 32768 counts, to 3.28 of the converter's 3.3 V, 4096 codes.
     let level = (5048.0 + sensor_um / (500.0 / 32768.0)) / 8.0 * (3.28 / 3.3);

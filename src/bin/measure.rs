@@ -120,7 +120,7 @@ fn cost_of(work: &mut dyn FnMut()) -> u16 {
     end.wrapping_sub(start).try_into().unwrap_or(u16::MAX)
 }
 
-/// The cost of `work` beyond that of nothing.
+/// Returns the cost of `work` beyond that of nothing.
 fn cost(work: &mut dyn FnMut()) -> u16 {
     cost_of(work).saturating_sub(cost_of(&mut || ()))
 }

@@ -115,7 +115,7 @@ pub struct Faults {
 }
 
 impl Faults {
-    /// Whether the board runs on a fall-back.
+    /// Returns whether the board runs on a fall-back.
     pub fn degrade(&self) -> bool {
         self.crystal || self.pll || self.can
     }
@@ -133,7 +133,7 @@ impl Faults {
     }
 }
 
-/// The serial number folded to 16 bits, as `N` answers it on the serial line. Two boards of a shop have the
+/// Returns the serial number folded to 16 bits, as `N` answers it on the serial line. Two boards of a shop have the
 /// same one once in 65 536 pairs.
 pub const fn short(serial_number: u32) -> u16 {
     (serial_number >> 16) as u16 ^ serial_number as u16

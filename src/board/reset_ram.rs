@@ -9,7 +9,7 @@ use trueup_store::retained::{Copies, SIZE};
 #[allow(unsafe_code, reason = "the place of a static")]
 static mut RETAINED: MaybeUninit<Copies> = MaybeUninit::uninit();
 
-/// The copies, for the one who asks first.
+/// Returns the copies, for the one who asks first.
 #[allow(unsafe_code, reason = "memory that nobody has initialised")]
 pub fn take() -> &'static mut Copies {
     let once: &'static mut () = cortex_m::singleton!(: () = ()).expect("the board starts once");

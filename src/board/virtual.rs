@@ -233,7 +233,7 @@ impl SerialOut {
         self.poll_out(fill)
     }
 
-    /// The same.
+    /// Returns the same.
     pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let mut piece = [0; 16];
         loop {
@@ -356,12 +356,12 @@ impl NorFlash for Flash {
 pub struct Store;
 
 impl Store {
-    /// The bytes of it, as many as there are.
+    /// Returns the bytes of it, as many as there are.
     fn load(place: &mut [u8]) -> usize {
         open(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
     }
 
-    /// Whether it was stored.
+    /// Returns whether it was stored.
     pub fn keep(&mut self, blob: &[u8], _feed: impl FnMut()) -> bool {
         semihosting::fs::write(c"loaded.bin", blob).is_ok()
     }

@@ -310,7 +310,7 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     Ok(())
 }
 
-/// A bar that is shown.
+/// Returns a bar that is shown.
 fn shown() -> Result<ProgressBar> {
     let bar = ProgressBar::new(100);
     bar.set_style(ProgressStyle::with_template("[{bar:30}] {percent:>3} % {msg}")?);

@@ -52,7 +52,7 @@ impl Advice {
     }
 }
 
-/// What to change, and the machine file with it.
+/// Returns what to change, and the machine file with it.
 ///
 /// # Errors
 /// The run without compensation cannot be compared with the machine file.
@@ -112,7 +112,7 @@ pub(crate) fn advise(
     Ok((advice, Some(adjusted)))
 }
 
-/// How much of what the machine does the bridge corrects: least squares of (off − on) over off.
+/// Returns how much of what the machine does the bridge corrects: least squares of (off − on) over off.
 fn share_sentence(pair: &Pair) -> String {
     let rows = || pair.off_um.iter().zip(&pair.on_um);
     let corrected: f64 = rows().map(|(off, on)| off * (off - on)).sum();
@@ -150,12 +150,12 @@ fn sentence(key: &str, from: f64, to: f64, ci95: Option<[f64; 2]>) -> String {
     format!("Change {key} from {} to {shown}{interval}{change}.", digits(from))
 }
 
-/// A number in its first four digits.
+/// Returns a number in its first four digits.
 pub(crate) fn digits(number: f64) -> String {
     format!("{number:.3e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
-/// The fit of the law that the machine file corrects the pair's quantity by, and its section.
+/// Returns the fit of the law that the machine file corrects the pair's quantity by, and its section.
 fn fitted(
     pair: &Pair,
     machine: &Machine,
@@ -190,7 +190,7 @@ fn fitted(
     Ok(Some((name, thermal::fit(runs, axis, Some(machine), &options)?)))
 }
 
-/// The constants of a section, by their keys.
+/// Returns the constants of a section, by their keys.
 fn constants(section: &str, machine: &Machine) -> Vec<(&'static str, f64)> {
     let spindle = &machine.spindle;
     let of_axis = |axis: &LinearAxis| section == format!("axis.{}.thermal", axis.name());

@@ -104,7 +104,7 @@ pub struct Acceptance {
 }
 
 impl Acceptance {
-    /// The machine file with the constants that the run without compensation shows; none without advice
+    /// Returns the machine file with the constants that the run without compensation shows; none without advice
     /// that changes a constant.
     #[must_use]
     pub fn adjusted(&self) -> Option<&str> {
@@ -188,7 +188,7 @@ pub fn accept(
     })
 }
 
-/// What is said where the runs have offsets and do not tell how the machine applies them.
+/// Returns what is said where the runs have offsets and do not tell how the machine applies them.
 fn unsure(applied: Applied) -> Option<String> {
     let Applied::Unknown(factor) = applied else { return None };
     let interval = factor.map_or(String::new(), |Factor { ci95: [low, high], .. }| {

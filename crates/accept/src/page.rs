@@ -74,7 +74,7 @@ pub(crate) fn html(it: &Acceptance, name: &str, origin: &Origin, next: &[String]
     page.html()
 }
 
-/// The name of what the readings are over, and what it is divided by.
+/// Returns the name of what the readings are over, and what it is divided by.
 fn unit_of(it: &Acceptance) -> (String, f64) {
     match it.pair.over.as_str() {
         "time_s" => {

@@ -360,7 +360,7 @@ impl Pair {
         }
     }
 
-    /// The run in parts of equal length.
+    /// Returns the run in parts of equal length.
     pub fn parts(&self) -> Vec<Part> {
         let mut order: Vec<usize> = (0..self.at.len()).collect();
         order.sort_by(|a, b| self.at[*a].total_cmp(&self.at[*b]));
@@ -387,7 +387,7 @@ impl Pair {
     }
 }
 
-/// The quantity that both runs measure.
+/// Returns the quantity that both runs measure.
 fn quantity_of(off: &RunFile, on: &RunFile, asked: Option<Quantity>) -> Result<Quantity, BadInput> {
     let column = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {

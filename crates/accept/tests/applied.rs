@@ -12,7 +12,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nso
     [axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
     slope_um_per_m_per_c = 11.0\norigin_mm = 0.0\n";
 
-/// A warm-up by 15 K; `factor`: of an engaged bridge, and the machine does `gain` of what its file says.
+/// Returns a warm-up by 15 K; `factor`: of an engaged bridge, and the machine does `gain` of what its file says.
 fn run(quantity: &str, gain: f64, factor: Option<f64>, noise_um: f64, seed: u64) -> RunFile {
     let mut generator = Generator::new(seed);
     let axis = if quantity == "dx" { "x" } else { "z" };

@@ -290,14 +290,14 @@ pub struct Object {
     pub entries: &'static [Entry],
 }
 
-/// The object with this index.
+/// Returns the object with this index.
 #[must_use]
 pub fn object(index: u16) -> Option<&'static Object> {
     OBJECTS.iter().find(|object| object.index == index)
 }
 
 impl Object {
-    /// The value with this sub-index.
+    /// Returns the value with this sub-index.
     #[must_use]
     pub fn entry(&self, subindex: u8) -> Option<&'static Entry> {
         self.entries.iter().find(|entry| entry.subindex == subindex)

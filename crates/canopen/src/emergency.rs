@@ -55,7 +55,7 @@ pub struct Emergency {
     pub quality: Quality,
 }
 
-/// The frame that says this.
+/// Returns the frame that says this.
 #[must_use]
 pub fn encode(emergency: &Emergency) -> Frame {
     let mut data = [0; 8];
@@ -67,7 +67,7 @@ pub fn encode(emergency: &Emergency) -> Frame {
     Frame::full(EMERGENCY_ID, data)
 }
 
-/// What an emergency frame says. It is not protected: it informs, and nothing rests on it.
+/// Returns what an emergency frame says. It is not protected: it informs, and nothing rests on it.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a fault or quality that has no meaning.
@@ -130,7 +130,7 @@ impl Emergencies {
         self.seen = self.seen.and(now);
     }
 
-    /// The next emergency, if one is due and may be sent.
+    /// Returns the next emergency, if one is due and may be sent.
     pub fn next(&mut self, now: Faults, output: &Output) -> Option<Frame> {
         if self.since_ms.saturating_mul(10) < self.inhibit.into() {
             return None;
@@ -163,13 +163,13 @@ impl Emergencies {
         self.history.push_front(u32::from(code) | (fault as u32) << 16).ok();
     }
 
-    /// How many errors are remembered.
+    /// Returns how many errors are remembered.
     #[must_use]
     pub fn count(&self) -> usize {
         self.history.len()
     }
 
-    /// A remembered error, the newest being 0: the code, and in bits 16…23 the fault.
+    /// Returns a remembered error, the newest being 0: the code, and in bits 16…23 the fault.
     #[must_use]
     pub fn error(&self, number: u8) -> Option<u32> {
         self.history.iter().nth(number.into()).copied()
@@ -180,7 +180,7 @@ impl Emergencies {
         self.history.clear();
     }
 
-    /// The shortest time between two emergencies in 0.1 ms.
+    /// Returns the shortest time between two emergencies in 0.1 ms.
     #[must_use]
     pub const fn inhibit(&self) -> u16 {
         self.inhibit

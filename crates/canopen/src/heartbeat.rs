@@ -52,7 +52,7 @@ impl Consumer {
         self.silent_ms = self.silent_ms.map(|silent| silent.saturating_add(elapsed_ms));
     }
 
-    /// Whether it was heard before, and for longer than the set time no more.
+    /// Returns whether it was heard before, and for longer than the set time no more.
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.is_on() && self.silent_ms.is_some_and(|silent| silent > self.time_ms.into())

@@ -31,7 +31,7 @@ pub enum Command {
 }
 
 impl Command {
-    /// The command in a frame; `None`: it is not a command, is one of another node, or one without an
+    /// Returns the command in a frame; `None`: it is not a command, is one of another node, or one without an
     /// effect.
     #[must_use]
     pub fn decode(frame: &Frame) -> Option<Self> {

@@ -143,7 +143,7 @@ impl Server {
         }
     }
 
-    /// The outcome for a domain that had come whole, see [`Objects::close`].
+    /// Returns the outcome for a domain that had come whole, see [`Objects::close`].
     pub fn end(&mut self, outcome: Result<(), Abort>) -> Option<Frame> {
         let Phase::Waiting { at, toggle } = self.phase else { return None };
         Some(match outcome {
@@ -162,7 +162,7 @@ impl Server {
         (is_open && self.silent_ms > TIMEOUT_MS).then(|| self.abort(self.at(), Abort::Timeout))
     }
 
-    /// What the present transfer is of.
+    /// Returns what the present transfer is of.
     fn at(&self) -> At {
         match self.phase {
             Phase::Idle => (0, 0),
@@ -311,7 +311,7 @@ fn find((index, subindex): At) -> Result<&'static Entry, Abort> {
     object.entry(subindex).ok_or(Abort::NoSubindex)
 }
 
-/// The first `size` bytes as a number.
+/// Returns the first `size` bytes as a number.
 fn number_of(bytes: [u8; 4], size: usize) -> u32 {
     let mut whole = [0; 4];
     whole.iter_mut().zip(bytes).take(size).for_each(|(place, byte)| *place = byte);
@@ -326,7 +326,7 @@ fn is_toggled(command: u8) -> bool {
     command & 1 << 4 != 0
 }
 
-/// The answer to a start: command, object, number.
+/// Returns the answer to a start: command, object, number.
 fn initiated(command: u8, (index, subindex): At, number: u32) -> [u8; 8] {
     let [low, high] = index.to_le_bytes();
     let [a, b, c, d] = number.to_le_bytes();

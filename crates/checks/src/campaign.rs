@@ -129,7 +129,7 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// The lists that cargo-mutants and [`keep`](Self::keep) write into a folder; empty where there is none.
+    /// Returns the lists that cargo-mutants and [`keep`](Self::keep) write into a folder; empty where there is none.
     fn read(folder: &Path) -> Self {
         let list = |name: &str| {
             let text = fs::read_to_string(folder.join(name)).unwrap_or_default();
@@ -236,7 +236,7 @@ fn drawn<T>(mut from: Vec<T>, count: usize, seed: u64) -> Vec<T> {
     drawn
 }
 
-/// A character as a regular expression has it.
+/// Returns a character as a regular expression has it.
 fn escaped(character: char) -> impl Iterator<Item = char> {
     let is_special = r"\.+*?()|[]{}^$".contains(character);
     is_special.then_some('\\').into_iter().chain([character])

@@ -22,7 +22,7 @@ pub fn plain(verb: &str) -> Command {
     command
 }
 
-/// A program of others in this version, built once into the project's own folder.
+/// Returns a program of others in this version, built once into the project's own folder.
 ///
 /// # Errors
 /// It cannot be had or built.

@@ -91,7 +91,7 @@ pub fn release() -> Result<Release> {
     Ok(Release { folder, files, left_out })
 }
 
-/// Whether the standard library of a target is installed.
+/// Returns whether the standard library of a target is installed.
 fn has_library(target: &str) -> bool {
     let mut ask = Command::new("rustc");
     ask.args(["--print", "target-libdir", "--target", target]);

@@ -26,7 +26,7 @@ pub fn compiler() -> Result<Tally> {
     Ok(Tally::passed(1))
 }
 
-/// The two numbers that count: `1.95.0-beta.1` gives 1 and 95.
+/// Returns the two numbers that count: `1.95.0-beta.1` gives 1 and 95.
 fn numbers(version: &str) -> Option<(u32, u32)> {
     let mut numbers = version.split('.').map(|number| number.parse().ok());
     Some((numbers.next()??, numbers.next()??))

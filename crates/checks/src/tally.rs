@@ -34,18 +34,18 @@ impl Tally {
         Self { passed: count, ..Self::default() }
     }
 
-    /// One thing that failed.
+    /// Returns one thing that failed.
     pub fn fail() -> Self {
         Self { failed: 1, ..Self::default() }
     }
 
-    /// One thing that cannot be had here.
+    /// Returns one thing that cannot be had here.
     pub fn lack(why: &str) -> Self {
         trueup_output::line(format_args!("skipped: {why}"));
         Self { lacking: 1, ..Self::default() }
     }
 
-    /// All that did not run.
+    /// Returns all that did not run.
     pub fn skipped(&self) -> u32 {
         self.lacking + self.long + self.campaigns
     }

@@ -64,7 +64,7 @@ pub fn build() -> Result<Vec<Program>> {
     Ok(programs.collect())
 }
 
-/// The examples in the documentation.
+/// Returns the examples in the documentation.
 ///
 /// # Errors
 /// cargo cannot be started.
@@ -132,7 +132,7 @@ pub fn hear(name: &str, command: &mut Command) -> Result<Tally> {
     Ok(tally)
 }
 
-/// What a program of tests said of those that failed, or its last lines if it did not come to that.
+/// Returns what a program of tests said of those that failed, or its last lines if it did not come to that.
 fn of_the_failed(said: &str) -> String {
     if let Some(start) = said.find("\nfailures:\n") {
         return said[start..].into();

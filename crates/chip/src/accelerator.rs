@@ -66,7 +66,7 @@ impl Accelerator {
         }
     }
 
-    /// Whether the line is in the cache; it is from now on.
+    /// Returns whether the line is in the cache; it is from now on.
     fn look_up(&mut self, line: u32) -> bool {
         self.clock += 1;
         let place = self.place[line as usize];

@@ -7,7 +7,7 @@ fn u32_at(b: &[u8], o: usize) -> u32 {
     u32::from_le_bytes(b[o..o + 4].try_into().unwrap())
 }
 
-/// What is placed in memory: (address, bytes).
+/// Returns what is placed in memory: (address, bytes).
 pub fn segments(b: &[u8]) -> Vec<(u32, Vec<u8>)> {
     assert_eq!(&b[..5], b"\x7fELF\x01", "not a 32-bit ELF file");
     assert_eq!(u16_at(b, 18), 40, "not an Arm image");

@@ -16,7 +16,7 @@ impl Frame {
         d[..data.len()].copy_from_slice(data);
         Frame { id, ext: false, rtr: false, len: data.len() as u8, data: d }
     }
-    /// What decides on the bus: the lower goes first.
+    /// Returns what decides on the bus: the lower goes first.
     pub fn rank(&self) -> u64 {
         let (id, ext) = (u64::from(self.id), u64::from(self.ext));
         if self.ext {
@@ -85,7 +85,7 @@ pub fn crc(id: u32, data: &[u8]) -> u16 {
     crc
 }
 
-/// A protected frame: checksum, counter, and a body of at most five bytes.
+/// Returns a protected frame: checksum, counter, and a body of at most five bytes.
 pub fn protected(id: u32, counter: u8, body: &[u8]) -> Frame {
     let mut d = [0u8; 8];
     d[2] = counter;

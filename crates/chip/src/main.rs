@@ -90,7 +90,7 @@ fn play(board: &mut Board, live_until: &mut impl FnMut(&mut Board, u64)) {
     }
 }
 
-/// The board that the options ask for, before its first instruction.
+/// Returns the board that the options ask for, before its first instruction.
 fn board(options: &Options, image: &[u8]) -> Board {
     let memories = Memories::new();
     if let Some(flash) = options.flash.as_ref().and_then(|file| fs::read(file).ok()) {

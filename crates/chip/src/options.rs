@@ -136,7 +136,7 @@ pub fn options() -> Options {
     o
 }
 
-/// A sound board that runs for two seconds.
+/// Returns a sound board that runs for two seconds.
 fn defaults() -> Options {
     Options {
         image: String::new(),
@@ -188,7 +188,7 @@ fn text_to_say(text: Option<String>) -> Vec<u8> {
     text.unwrap_or_else(|| usage("--say")).replace("\\r", "\r").into_bytes()
 }
 
-/// A frame written as `302#0011`.
+/// Returns a frame written as `302#0011`.
 fn frame(text: Option<String>) -> Frame {
     let text = text.unwrap_or_else(|| usage("--frame"));
     let (id, data) = text.split_once('#').unwrap_or_else(|| usage("--frame"));
@@ -198,7 +198,7 @@ fn frame(text: Option<String>) -> Frame {
     Frame::new(u32::from_str_radix(id, 16).unwrap_or_else(|_| usage("--frame")), &bytes)
 }
 
-/// The port and number of a pin like `PC12`.
+/// Returns the port and number of a pin like `PC12`.
 fn pin(name: &str) -> (usize, u32) {
     let &[b'P', port @ b'A'..=b'I', ..] = name.as_bytes() else { usage(name) };
     (usize::from(port - b'A'), name[2..].parse().unwrap_or_else(|_| usage(name)))

@@ -32,7 +32,7 @@ pub const PENDED: [(&str, u16); 6] =
 
 /// Who answers the processor beyond its memories.
 pub trait Peripherals: Send + Sync {
-    /// A read of 1, 2 or 4 bytes.
+    /// Returns a read of 1, 2 or 4 bytes.
     fn read(&self, address: u32, size: u32) -> u32;
     /// A write of 1, 2 or 4 bytes.
     fn write(&self, address: u32, size: u32, value: u32);
@@ -164,7 +164,7 @@ impl Default for Memories {
     }
 }
 
-/// The system memory: the identity of this chip (RM0090 section 39.1), the size of its flash, and the
+/// Returns the system memory: the identity of this chip (RM0090 section 39.1), the size of its flash, and the
 /// factory's calibration of the converter (DS8626, internal reference voltage calibration values: VREFINT at 3.3 V).
 fn system_memory() -> Memory {
     const IDENTITY: [u8; 12] = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35];
@@ -233,7 +233,7 @@ impl Processor {
         self.bus_faults = 0;
     }
 
-    /// One instruction or one exception; gives its cycles.
+    /// Returns one instruction or one exception; gives its cycles.
     #[must_use]
     pub fn step(&self) -> u64 {
         self.core.step()
@@ -255,26 +255,26 @@ impl Processor {
         self.core.pc()
     }
 
-    /// Whether interrupts are held off by PRIMASK.
+    /// Returns whether interrupts are held off by PRIMASK.
     #[must_use]
     pub fn is_masked(&self) -> bool {
         self.core.regs().primask
     }
 
-    /// Whether the next instruction belongs to an IT block. 0.0.7 of the crate stacks xPSR without
+    /// Returns whether the next instruction belongs to an IT block. 0.0.7 of the crate stacks xPSR without
     /// ITSTATE: an interrupt there would make the rest of the block unconditional.
     #[must_use]
     pub fn is_in_it_block(&self) -> bool {
         self.core.regs().xpsr & 0x0600_fc00 != 0
     }
 
-    /// Whether each exception of [`PENDED`] is pending: raised, and its handler not yet begun.
+    /// Returns whether each exception of [`PENDED`] is pending: raised, and its handler not yet begun.
     #[must_use]
     pub fn pended(&self) -> [bool; PENDED.len()] {
         self.core.with_sys(|system| PENDED.map(|(_, number)| system.is_pending(Exception(number))))
     }
 
-    /// Whether it waits for an interrupt.
+    /// Returns whether it waits for an interrupt.
     #[must_use]
     pub fn is_asleep(&self) -> bool {
         self.core.is_asleep()
@@ -304,7 +304,7 @@ impl Processor {
         })
     }
 
-    /// Whether it has asked for a reset (SYSRESETREQ).
+    /// Returns whether it has asked for a reset (SYSRESETREQ).
     #[must_use]
     pub fn wants_reset(&self) -> bool {
         self.core.reset_requested()
@@ -333,7 +333,7 @@ impl Processor {
         }
     }
 
-    /// What has gone wrong in it since the last time.
+    /// Returns what has gone wrong in it since the last time.
     pub fn trouble(&mut self) -> Vec<String> {
         let mut said = Vec::new();
         let (count, address) = self.core.bus_faults();

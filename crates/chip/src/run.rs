@@ -118,7 +118,7 @@ const LOOK: u32 = 1024;
 const MAY_SLEEP: u32 = 12;
 
 impl Board {
-    /// A board with an image in its flash, before its first instruction.
+    /// Returns a board with an image in its flash, before its first instruction.
     ///
     /// # Panics
     /// The file is no image for this flash.
@@ -138,7 +138,7 @@ impl Board {
         Board { log_at, ..Board::bare(memories, world, faults, watch) }
     }
 
-    /// A board with what is in its flash already, before its first instruction.
+    /// Returns a board with what is in its flash already, before its first instruction.
     #[must_use]
     pub fn bare(memories: Memories, world: World, faults: Faults, watch: Watch) -> Board {
         let shared = Arc::new(Shared::default());
@@ -198,7 +198,7 @@ impl Board {
         self.chip.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The time, in ticks since power-on.
+    /// Returns the time, in ticks since power-on.
     #[must_use]
     pub fn now(&self) -> u64 {
         self.now
@@ -210,7 +210,7 @@ impl Board {
         self.processor.pc()
     }
 
-    /// The memories, which outlast a reset.
+    /// Returns the memories, which outlast a reset.
     #[must_use]
     pub fn memories(&self) -> &Memories {
         &self.memories

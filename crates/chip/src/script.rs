@@ -38,7 +38,7 @@ pub struct Script {
     pub(crate) rng: u64,
 }
 
-/// A line: when, and its words.
+/// Returns a line: when, and its words.
 fn parse(line: &str) -> (u64, Vec<String>) {
     let mut words = line.split_whitespace();
     let at: f64 =
@@ -84,7 +84,7 @@ impl Script {
     pub(crate) fn part(&mut self) -> f64 {
         self.random() as f64 / (1u64 << 53) as f64
     }
-    /// The sensor's code; `scale`: what one code has become, with a supply that is not as it should be.
+    /// Returns the sensor's code; `scale`: what one code has become, with a supply that is not as it should be.
     pub fn sample(&mut self, now: u64, scale: f64) -> u32 {
         if !self.pattern.is_empty() {
             self.turn += 1;

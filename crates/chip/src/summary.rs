@@ -9,7 +9,7 @@ use crate::{
 };
 use std::collections::BTreeMap;
 
-/// What the board said on its wires and when it was reset, a line an event in the order of time, with the
+/// Returns what the board said on its wires and when it was reset, a line an event in the order of time, with the
 /// report's violations and remarks at the end.
 #[must_use]
 pub fn log(c: &Chip, now: u64) -> String {
@@ -44,7 +44,7 @@ pub fn log(c: &Chip, now: u64) -> String {
     out + &format!("{:.4} end\n", at(now))
 }
 
-/// What the board said on the RS-485 line, cut where it paused: when it began, and the bytes.
+/// Returns what the board said on the RS-485 line, cut where it paused: when it began, and the bytes.
 fn answers(wire: &Wire) -> Vec<(u64, String)> {
     let mut all: Vec<(u64, String)> = Vec::new();
     let mut last = 0;

@@ -37,7 +37,7 @@ pub struct Wire {
 const MOST_AT_ONCE: usize = 256;
 
 impl Wire {
-    /// One that is driven all the time, with ten bits to a character.
+    /// Returns one that is driven all the time, with ten bits to a character.
     #[must_use]
     pub fn new(baud: f64) -> Self {
         Self {
@@ -53,7 +53,7 @@ impl Wire {
         }
     }
 
-    /// How long one of the host's characters takes, in ticks.
+    /// Returns how long one of the host's characters takes, in ticks.
     #[must_use]
     pub fn character(&self) -> u64 {
         let bits = 9 + u32::from(self.parity != Parity::None) + self.stop_bits;

@@ -19,7 +19,7 @@ const TEMPERATURE_SLOPE: f64 = 0.0025;
 /// Volts of VBAT; the converter sees half of it (DS8626, VBAT monitoring).
 const BATTERY: f64 = 3.0;
 
-/// The next of a sequence that looks like chance, 0 to 1.
+/// Returns the next of a sequence that looks like chance, 0 to 1.
 fn part(state: &mut u64) -> f64 {
     *state ^= *state << 13;
     *state ^= *state >> 7;
@@ -117,7 +117,7 @@ impl World {
     pub(crate) fn random(&mut self) -> f64 {
         part(&mut self.rng)
     }
-    /// What a channel of a converter gives, of 12 bits.
+    /// Returns what a channel of a converter gives, of 12 bits.
     pub(crate) fn code(&mut self, channel: u32, now: u64) -> u32 {
         let volts = match channel {
             0 => return self.sensor_code(now),

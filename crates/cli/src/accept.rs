@@ -98,7 +98,7 @@ fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
     set.commit()
 }
 
-/// The lines to be typed next.
+/// Returns the lines to be typed next.
 fn next(args: &Accept, it: &Acceptance) -> Vec<String> {
     let adjusted = args.out.join("adjusted.toml");
     match (it.adjusted(), it.passed) {

@@ -150,7 +150,7 @@ impl Subject {
         plans(kind, machine, &options).map(drop).map_err(refused)
     }
 
-    /// The program that measures it.
+    /// Returns the program that measures it.
     fn program(self) -> &'static str {
         match self {
             Self::Spindle => "warmup",
@@ -166,7 +166,7 @@ impl Subject {
         }
     }
 
-    /// What is measured.
+    /// Returns what is measured.
     fn quantity(self) -> &'static str {
         self.axis().map_or(Quantity::Elongation, Quantity::of_axis).name()
     }
@@ -293,12 +293,12 @@ impl Work<'_> {
         })
     }
 
-    /// A path in the folder, as a command takes it.
+    /// Returns a path in the folder, as a command takes it.
     fn path(&self, name: &str) -> String {
         self.args.out.join(name).to_string_lossy().into_owned()
     }
 
-    /// The machine file or calibration of a round; that of round 0 is the user's.
+    /// Returns the machine file or calibration of a round; that of round 0 is the user's.
     fn file(&self, round: u32, kind: &str) -> String {
         self.path(&if round == 0 {
             format!("machine.{kind}")
@@ -307,7 +307,7 @@ impl Work<'_> {
         })
     }
 
-    /// The kind of `fit` that makes its section.
+    /// Returns the kind of `fit` that makes its section.
     fn fit(&self) -> &'static str {
         match (self.subject, self.machine.spindle.source) {
             (Subject::Spindle, Some(ElongationSource::Sensor | ElongationSource::Temperature)) => {
@@ -360,7 +360,7 @@ impl Work<'_> {
         }
     }
 
-    /// The same, once what the board held is saved.
+    /// Returns the same, once what the board held is saved.
     fn sign_loaded(&mut self, blob: &str) -> Result<bool> {
         let axis = self.subject.axis();
         let port = self.args.port.clone();
@@ -419,7 +419,7 @@ impl Work<'_> {
         Ok(true)
     }
 
-    /// Whether it is enough. If not, the next round begins; the command ends, so that it is read.
+    /// Returns whether it is enough. If not, the next round begins; the command ends, so that it is read.
     fn accept(&mut self, fitted: &str) -> Result<Option<Step>> {
         let round = self.journal.round;
         let [off, on] = ["off", "on"].map(|which| self.path(&format!("{which}-{round}.csv")));
@@ -456,7 +456,7 @@ impl Work<'_> {
     }
 }
 
-/// How many readings a column of a run has.
+/// Returns how many readings a column of a run has.
 fn readings(run: &RunFile, column: &str) -> usize {
     let measured = run.column(column).unwrap_or_default();
     measured.iter().filter(|um| !um.is_nan()).count()

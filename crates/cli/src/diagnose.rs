@@ -151,7 +151,7 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }
 
-/// A bar that shows itself once the search takes more than a moment.
+/// Returns a bar that shows itself once the search takes more than a moment.
 fn progress() -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:30} {percent} % {msg}")
         .expect("the template is a constant");
@@ -211,7 +211,7 @@ fn print_in_red(text: &str) -> Result<()> {
 /// Of the names in the table of before and after.
 const OF: usize = 42;
 
-/// The lines to be typed next; none where what was found must not go to a board.
+/// Returns the lines to be typed next; none where what was found must not go to a board.
 fn to_do_next(args: &Diagnose, diagnosis: &Diagnosis) -> Vec<String> {
     let verdict = diagnosis.report.verdict;
     let is_safe = matches!(verdict, Verdict::Explained | Verdict::PartlyExplained);

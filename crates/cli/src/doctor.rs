@@ -91,13 +91,13 @@ pub fn print_ports(ports: &[FoundPort]) -> Result<()> {
     Ok(())
 }
 
-/// The same as JSON.
+/// Returns the same as JSON.
 pub fn ports_json(ports: &[FoundPort]) -> Value {
     let port = |it: &FoundPort| json!({"port": it.name, "what": it.what, "obstacle": it.obstacle});
     ports.iter().map(port).collect()
 }
 
-/// The first line that a program says of its version; `None`: it is not here.
+/// Returns the first line that a program says of its version; `None`: it is not here.
 fn version(name: &str, words: &[&str]) -> Option<String> {
     let path = on_path(name)?;
     if words.is_empty() {
@@ -118,7 +118,7 @@ fn on_path(name: &str) -> Option<PathBuf> {
         .find(|it| it.is_file())
 }
 
-/// What answers at a port, or why nothing does.
+/// Returns what answers at a port, or why nothing does.
 fn asked(port: &str) -> Result<String, String> {
     let words = |error: anyhow::Error| format!("{error:#}");
     let port = Port::parse(port).map_err(|error| error.to_string())?;

@@ -107,7 +107,7 @@ impl Input {
         self.machine.as_ref().map(|(_, _, machine)| machine)
     }
 
-    /// The one run; what takes one alone refuses several.
+    /// Returns the one run; what takes one alone refuses several.
     fn run(&self) -> Result<&Unaided<'_>, UserError> {
         match &self.runs[..] {
             [run] => Ok(run),
@@ -119,7 +119,7 @@ impl Input {
         }
     }
 
-    /// What the rest of the machine file says of `run`, with a warning where it cannot.
+    /// Returns what the rest of the machine file says of `run`, with a warning where it cannot.
     fn known(&self, run: &Unaided<'_>, without: Without) -> Result<Option<Vec<f64>>, BadInput> {
         let Some(machine) = self.machine() else { return Ok(None) };
         let Some(known) = known(machine, run, without)? else { return Ok(None) };
@@ -208,7 +208,7 @@ fn write_page(
     Ok(())
 }
 
-/// The one run, whose error it is, and what both fits of positions are asked for.
+/// Returns the one run, whose error it is, and what both fits of positions are asked for.
 fn positions<'a>(
     input: &'a Input,
     args: &Positions,
@@ -218,7 +218,7 @@ fn positions<'a>(
     Ok((run, axis, position_options(input, args, run, axis)?))
 }
 
-/// What a fit of positions is asked for, of one run.
+/// Returns what a fit of positions is asked for, of one run.
 fn position_options(
     input: &Input,
     args: &Positions,
@@ -256,7 +256,7 @@ fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
     Ok(thermal::fit(&input.runs, axis, input.machine(), &options)?)
 }
 
-/// The axis of `quantity`, else the only one whose error the runs measure.
+/// Returns the axis of `quantity`, else the only one whose error the runs measure.
 fn axis_of(runs: &[Unaided<'_>], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
     let start = || Location::start_of(runs[0].path());
     if let Some(quantity) = quantity {

@@ -265,7 +265,7 @@ fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> 
     Ok(outcome)
 }
 
-/// Whether the bridge is heard within a few seconds.
+/// Returns whether the bridge is heard within a few seconds.
 fn wait_for_bridge(shared: &Shared) -> bool {
     let start = Instant::now();
     while start.elapsed() < ONCE && !shared.has_ended() {

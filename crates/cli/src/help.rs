@@ -94,7 +94,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ),
 ];
 
-/// The lines that are examples.
+/// Returns the lines that are examples.
 #[cfg(test)]
 pub fn lines() -> impl Iterator<Item = &'static str> {
     EXAMPLES.iter().map(|(_, line)| *line)
@@ -124,7 +124,7 @@ const GROUPS: &[(&str, &[&str])] = &[
 /// The heading of a command that is in no group.
 const OTHERS: &str = "More";
 
-/// The tool with its examples and short forms, its commands in groups.
+/// Returns the tool with its examples and short forms, its commands in groups.
 pub fn with_examples(tool: Command) -> Command {
     let tool = named(tool, "");
     let groups = in_groups(&tool);
@@ -133,7 +133,7 @@ pub fn with_examples(tool: Command) -> Command {
     ))
 }
 
-/// The commands with their first sentence, by groups.
+/// Returns the commands with their first sentence, by groups.
 fn in_groups(tool: &Command) -> String {
     let line = |command: &Command| {
         let about = command.get_about().map(ToString::to_string).unwrap_or_default();

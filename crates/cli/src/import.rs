@@ -112,7 +112,7 @@ pub fn run(args: &Import, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The answers that the flags give.
+/// Returns the answers that the flags give.
 fn by_flags(args: &Import) -> Result<Answers> {
     let mut answers = Answers {
         negate: args.negate.clone(),
@@ -155,7 +155,7 @@ fn by_flags(args: &Import) -> Result<Answers> {
     Ok(answers)
 }
 
-/// The value that the user chooses or types.
+/// Returns the value that the user chooses or types.
 fn ask(question: &Question) -> Result<String> {
     const OTHER: &str = "another one";
     let prompt = format!("line {}: {}", question.place.line, one_line(&question.text));
@@ -186,7 +186,7 @@ fn ask(question: &Question) -> Result<String> {
     Input::new().with_prompt(prompt).validate_with(read).interact_text().map_err(Error::from)
 }
 
-/// An error of the table on one line, with what to do.
+/// Returns an error of the table on one line, with what to do.
 fn refused(error: BadInput, as_json: bool) -> Error {
     if as_json {
         return error.into();
@@ -200,7 +200,7 @@ fn refused(error: BadInput, as_json: bool) -> Error {
     UserError(format!("{error}{help}")).into()
 }
 
-/// The open questions, each on a line with its flag, at most three lines.
+/// Returns the open questions, each on a line with its flag, at most three lines.
 fn open(questions: Vec<Question>, as_json: bool) -> Error {
     const MAX_LINES: usize = 3;
     let more = questions.len().saturating_sub(MAX_LINES);

@@ -265,8 +265,8 @@ fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
     receiver
 }
 
-/// What a learned file comes to for a bridge that runs on `machine`. One that cannot be read or is wrong changes
-/// nothing.
+/// Returns what a learned file comes to for a bridge that runs on `machine`. One that cannot be read or is wrong
+/// changes nothing.
 fn learned(machine: &Machine, path: &Path, text: &Result<String, String>) -> Learned {
     let name = path.display();
     let live = match text {

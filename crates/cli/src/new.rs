@@ -158,7 +158,7 @@ fn is_free(path: &Path) -> Result<(), UserError> {
     Err(UserError(format!("{}: {rule}", path.display())))
 }
 
-/// What needs no question.
+/// Returns what needs no question.
 fn said(args: &New) -> questions::Said {
     questions::Said {
         name: args.name.is_some(),
@@ -200,7 +200,7 @@ fn by_flags(args: &New) -> Result<Template, UserError> {
     })
 }
 
-/// The axes of the head, by default those of the usual machine of its kind.
+/// Returns the axes of the head, by default those of the usual machine of its kind.
 fn head_axes(names: Option<&[RotaryName]>, kind: Kind) -> Vec<RotaryAxis> {
     let rotary = |name: &RotaryName| match name {
         RotaryName::A => RotaryAxis::A,

@@ -49,7 +49,7 @@ struct Staged {
 }
 
 impl<'i> FileSet<'i> {
-    /// An empty set; `inputs` are never written over.
+    /// Returns an empty set; `inputs` are never written over.
     pub fn new(inputs: &'i [&'i Path]) -> Self {
         Self { inputs, staged: Vec::new() }
     }
@@ -132,7 +132,7 @@ impl<'i> FileSet<'i> {
         Ok(())
     }
 
-    /// The file that a path leads to, which is no input.
+    /// Returns the file that a path leads to, which is no input.
     fn target(&self, path: &Path) -> Result<PathBuf> {
         check_target(path, self.inputs)?;
         // A link is followed, so that the file it leads to is written and not the link.
@@ -170,7 +170,7 @@ fn cannot(path: &Path, error: &io::Error) -> UserError {
     UserError(format!("{}: cannot be written: {error}", path.display()))
 }
 
-/// The file at `target` under a second name, if there is one and it is wanted.
+/// Returns the file at `target` under a second name, if there is one and it is wanted.
 fn kept(target: &Path, is_wanted: bool) -> io::Result<Option<TempPath>> {
     if !is_wanted || !target.exists() {
         return Ok(None);
@@ -193,12 +193,12 @@ pub fn check_measurement(path: &Path, text: &str) -> Result<(), UserError> {
     Ok(())
 }
 
-/// Whether a path stands for standard output.
+/// Returns whether a path stands for standard output.
 pub fn is_standard_output(path: &Path) -> bool {
     path == Path::new("-")
 }
 
-/// An empty file in the folder of `target`, removed unless it is given a name.
+/// Returns an empty file in the folder of `target`, removed unless it is given a name.
 fn beside(target: &Path) -> io::Result<NamedTempFile> {
     let folder = match target.parent() {
         Some(folder) if folder != Path::new("") => folder.to_path_buf(),

@@ -60,7 +60,7 @@ pub fn run(args: &Predict, as_json: bool) -> Result<Outcome> {
     Ok(if broken.is_some() { Outcome::NotMet } else { Outcome::Done })
 }
 
-/// How the bridge is further from the model than `compile` has promised, if it is.
+/// Returns how the bridge is further from the model than `compile` has promised, if it is.
 fn broken_promise(predictor: &Predictor<'_>, written: &Written) -> Option<String> {
     let ((_, nm), promised_nm) = (written.broken_promise?, predictor.promised_nm()?);
     Some(format!(

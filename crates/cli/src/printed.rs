@@ -29,7 +29,7 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<std::path::PathBuf>) {
     }
 }
 
-/// The commands of a page: the lines of its blocks, and what stands between backticks.
+/// Returns the commands of a page: the lines of its blocks, and what stands between backticks.
 fn of_page(place: &str, text: &str) -> Vec<Printed> {
     let mut all = Vec::new();
     let mut is_code = false;
@@ -63,7 +63,7 @@ fn between_backticks(text: &str) -> impl Iterator<Item = &str> {
     text.split('`').skip(1).step_by(2).filter(|it| it.starts_with("trueup "))
 }
 
-/// The words of a line without what is said about it: a comment, a redirection, what follows two spaces.
+/// Returns the words of a line without what is said about it: a comment, a redirection, what follows two spaces.
 fn words(line: &str) -> Vec<String> {
     let line = line.split("  ").next().unwrap_or_default();
     let line = line.split(" #").next().unwrap_or_default();

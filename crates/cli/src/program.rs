@@ -196,7 +196,8 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The commands of a plan as they can be typed: with the folder of their files, the machine file, and where to write.
+/// Returns the commands of a plan as they can be typed: with the folder of their files, the machine file, and where to
+/// write.
 fn whole_lines(then: &str, args: &Program) -> String {
     let word = |path: &Path| shell_word(&path.to_string_lossy());
     let machine = word(&args.machine);

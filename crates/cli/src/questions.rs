@@ -24,39 +24,39 @@ pub struct Said {
     pub control: bool,
 }
 
-/// A number of a user's.
+/// Returns a number of a user's.
 pub fn finite(text: &str) -> Result<f64, String> {
     let value = text.parse().ok().filter(|value: &f64| value.is_finite());
     value.ok_or_else(|| "must be a number, with a point for decimals".into())
 }
 
-/// A number of a user's that must be above 0.
+/// Returns a number of a user's that must be above 0.
 pub fn above_zero(text: &str) -> Result<f64, String> {
     let value = finite(text)?;
     if value > 0.0 { Ok(value) } else { Err("must be above 0".into()) }
 }
 
-/// A number of a user's that must not be 0.
+/// Returns a number of a user's that must not be 0.
 pub fn not_zero(text: &str) -> Result<f64, String> {
     let value = finite(text)?;
     if value != 0.0 { Ok(value) } else { Err("must not be 0".into()) }
 }
 
-/// The ends of a travel, `0:600`.
+/// Returns the ends of a travel, `0:600`.
 pub fn ends(text: &str) -> Result<[f64; 2], String> {
     let (from, to) = text.split_once(':').ok_or("must be the two ends in mm: 0:600")?;
     let (from, to) = (finite(from.trim())?, finite(to.trim())?);
     if from < to { Ok([from, to]) } else { Err("the lower end stands first: 0:600".into()) }
 }
 
-/// A word that a column may be named by.
+/// Returns a word that a column may be named by.
 pub fn word(text: &str) -> Result<String, String> {
     let text = text.trim().to_lowercase();
     let is_word = !text.is_empty() && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
     if is_word { Ok(text) } else { Err("must be a word of letters and digits: screw".into()) }
 }
 
-/// The rotary axes of a head, `c,a`: as many as the kind has.
+/// Returns the rotary axes of a head, `c,a`: as many as the kind has.
 fn head(text: &str, kind: Kind) -> Result<Vec<RotaryAxis>, String> {
     let axis = |name: &str| {
         let name = name.trim().to_lowercase();
@@ -76,7 +76,7 @@ fn head(text: &str, kind: Kind) -> Result<Vec<RotaryAxis>, String> {
     axes.filter(is_whole).ok_or_else(|| rule.into())
 }
 
-/// The axes of the head of the usual machine of its kind.
+/// Returns the axes of the head of the usual machine of its kind.
 pub fn usual_head(kind: Kind) -> Vec<RotaryAxis> {
     match kind {
         Kind::HeadHead => vec![RotaryAxis::C, RotaryAxis::A],
@@ -108,7 +108,7 @@ enum Answer<T> {
 /// What is typed, or chosen, to go back.
 const BACK: &str = "<";
 
-/// The template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
+/// Returns the template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
 /// again at once, and `<` goes back: nobody is to answer ten questions twice.
 pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
     use Question as Q;
@@ -143,7 +143,7 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
     Ok(template)
 }
 
-/// Whether a question makes sense after the answers so far.
+/// Returns whether a question makes sense after the answers so far.
 fn applies(question: Question, template: &Template) -> bool {
     match question {
         Question::Head => !usual_head(template.kind).is_empty(),
@@ -308,7 +308,7 @@ fn sensor() -> Result<Answer<Sheet>> {
     }
 }
 
-/// An answer that is read by `read`; nothing is `usual`.
+/// Returns an answer that is read by `read`; nothing is `usual`.
 fn needed<T>(
     prompt: &str,
     usual: &impl ToString,
@@ -326,7 +326,7 @@ fn needed<T>(
     read(&text).map_err(Error::msg)
 }
 
-/// An answer that is read by `read`; nothing is `None`, which means `what`.
+/// Returns an answer that is read by `read`; nothing is `None`, which means `what`.
 fn wanted<T>(
     prompt: &str,
     what: &str,

@@ -48,7 +48,7 @@ pub fn set(manner: Manner) {
     _ = MANNER.set(manner);
 }
 
-/// How the user wants to be told.
+/// Returns how the user wants to be told.
 pub fn manner() -> Manner {
     MANNER.get().copied().unwrap_or_default()
 }
@@ -56,7 +56,7 @@ pub fn manner() -> Manner {
 /// What is doubted in a file is of no use to the user just now.
 static NO_DOUBTS: AtomicBool = AtomicBool::new(false);
 
-/// What `command` comes to; what it doubts in its files is said only if it is `of_use`.
+/// Returns what `command` comes to; what it doubts in its files is said only if it is `of_use`.
 pub fn with_warnings<T>(of_use: bool, command: impl FnOnce() -> T) -> T {
     NO_DOUBTS.store(!of_use, Ordering::Relaxed);
     let done = command();
@@ -131,7 +131,7 @@ pub fn remarks(remarks: &[Warning]) {
     }
 }
 
-/// What the user asked to be told beyond the result, by `-v`.
+/// Returns what the user asked to be told beyond the result, by `-v`.
 pub fn in_detail(words: impl FnOnce() -> String) {
     if manner().verbose && !manner().json {
         trueup_output::diagnostic(words());
@@ -168,7 +168,7 @@ fn say(level: Level<'_>, text: &str, place: Option<&Location>, help: Option<&str
     trueup_output::styled(renderer.render(&[group]));
 }
 
-/// A message as `--json` prints it.
+/// Returns a message as `--json` prints it.
 pub fn object(
     level: &str,
     text: &str,
@@ -185,7 +185,7 @@ pub fn object(
     })
 }
 
-/// Whether standard error shows colours, and may.
+/// Returns whether standard error shows colours, and may.
 fn is_coloured() -> bool {
     let is_forbidden = env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     trueup_output::is_error_terminal() && !is_forbidden
@@ -198,7 +198,7 @@ fn painted(word: &str) -> String {
 /// The longest line that is shown, in bytes.
 const LONGEST_LINE: u64 = 1 << 16;
 
-/// The line of a place, and the bytes in it that are at fault; `None` where the file is not to be read
+/// Returns the line of a place, and the bytes in it that are at fault; `None` where the file is not to be read
 /// again: a pipe, a line without an end, bytes that are no text.
 fn line_at(place: &Location) -> Option<(String, std::ops::Range<usize>)> {
     if !place.file.metadata().ok()?.is_file() {
@@ -227,7 +227,7 @@ fn line_at(place: &Location) -> Option<(String, std::ops::Range<usize>)> {
     Some((text.to_string(), start..start + length))
 }
 
-/// The length in bytes of the value that `text` begins with: a field of a table with this separator, else
+/// Returns the length in bytes of the value that `text` begins with: a field of a table with this separator, else
 /// a word, a string or what is in brackets.
 fn token(text: &str, separator: Option<char>) -> usize {
     let until = |ends: &[char]| text.find(ends).unwrap_or(text.len());

@@ -43,7 +43,7 @@ fn not_a_run(path: &Path) -> BadInput {
         .with_help("--machine takes the machine file; a run file is a CSV file with a header of column names")
 }
 
-/// The error for a table that `import` reads.
+/// Returns the error for a table that `import` reads.
 fn to_import(path: &Path) -> BadInput {
     let run = path.with_extension("run.csv");
     let name = |path: &Path| shell_word(&path.to_string_lossy());
@@ -60,12 +60,12 @@ fn read_run(path: &Path) -> Result<RunFile, BadInput> {
     run
 }
 
-/// The size of the run; 0 where it is not a plain file.
+/// Returns the size of the run; 0 where it is not a plain file.
 pub fn bytes(path: &Path) -> u64 {
     path.metadata().map_or(0, |metadata| metadata.len())
 }
 
-/// A bar of `steps` on standard error; none for a short run, or where nobody watches.
+/// Returns a bar of `steps` on standard error; none for a short run, or where nobody watches.
 pub fn progress(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
     if run_bytes < LONG_RUN_BYTES {
         return ProgressBar::hidden();

@@ -6,7 +6,7 @@ use trueup_machine::{
     model::required_columns,
 };
 
-/// A line for the machine, each axis, the limits, the sensor and the board.
+/// Returns a line for the machine, each axis, the limits, the sensor and the board.
 pub fn in_words(machine: &Machine, summary: &Summary) -> String {
     let mut lines = vec![format!("\"{}\", {}", machine.name.escape_debug(), machine.kind.name())];
     lines.extend(summary.axes.iter().map(axis_in_words));
@@ -50,7 +50,7 @@ pub fn in_words(machine: &Machine, summary: &Summary) -> String {
     lines.join("\n  ")
 }
 
-/// The inputs that are described and that nothing on the board goes by.
+/// Returns the inputs that are described and that nothing on the board goes by.
 fn unused_inputs(machine: &Machine) -> Vec<String> {
     let used = required_columns(&machine.compensated());
     let Some(inputs) = &machine.inputs else { return Vec::new() };

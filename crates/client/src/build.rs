@@ -42,14 +42,14 @@ impl Build {
         Ok(Self { version, commit })
     }
 
-    /// The same version, of the commit that a bridge has answered.
+    /// Returns the same version, of the commit that a bridge has answered.
     #[must_use]
     pub fn with_commit(&self, answer: &[u8]) -> Self {
         let commit = answer.first_chunk().copied().map(u32::from_le_bytes);
         Self { version: self.version.clone(), commit: commit.filter(|commit| *commit != 0) }
     }
 
-    /// What to say where the bridge's firmware is of another source than this tool; `None` where it is of the
+    /// Returns what to say where the bridge's firmware is of another source than this tool; `None` where it is of the
     /// same, as far as both know theirs.
     ///
     /// ```

@@ -61,37 +61,37 @@ impl Cnc {
         (now_ms.saturating_sub(at_ms) <= TIMEOUT_MS).then_some(conditions)
     }
 
-    /// The speed of the spindle in r/min, at least 0.
+    /// Returns the speed of the spindle in r/min, at least 0.
     #[must_use]
     pub fn spindle_rpm(&self, now_ms: u64) -> Option<f64> {
         self.value(0, now_ms)
     }
 
-    /// The axial cutting force in N; pushing the tool back is positive.
+    /// Returns the axial cutting force in N; pushing the tool back is positive.
     #[must_use]
     pub fn load_n(&self, now_ms: u64) -> Option<f64> {
         self.value(1, now_ms)
     }
 
-    /// The commanded positions of X, Y and Z in mm.
+    /// Returns the commanded positions of X, Y and Z in mm.
     #[must_use]
     pub fn position_mm(&self, now_ms: u64) -> [Option<f64>; 3] {
         [2, 3, 4].map(|column| self.value(column, now_ms))
     }
 
-    /// The directions of approach of X, Y and Z: +1, −1, or 0 where the CNC does not say.
+    /// Returns the directions of approach of X, Y and Z: +1, −1, or 0 where the CNC does not say.
     #[must_use]
     pub fn direction(&self, now_ms: u64) -> [Option<f64>; 3] {
         [5, 6, 7].map(|column| self.value(column, now_ms))
     }
 
-    /// The angles in degrees, in the order of the axes that carry the spindle.
+    /// Returns the angles in degrees, in the order of the axes that carry the spindle.
     #[must_use]
     pub fn angle_deg(&self, now_ms: u64) -> [Option<f64>; 2] {
         [8, 9].map(|column| self.value(column, now_ms))
     }
 
-    /// The cells of a row at this time of the bridge, empty where nothing is known.
+    /// Returns the cells of a row at this time of the bridge, empty where nothing is known.
     pub(crate) fn cells(&self, now_ms: u64) -> impl Iterator<Item = String> {
         DECIMALS.into_iter().enumerate().map(move |(column, decimals)| {
             self.value(column, now_ms).map(|it| format!("{it:.decimals$}")).unwrap_or_default()

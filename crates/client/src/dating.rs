@@ -177,7 +177,7 @@ impl Dating {
         self.proven.is_some_and(|asked| now.saturating_duration_since(asked) <= limit)
     }
 
-    /// Whether no adapter answers here.
+    /// Returns whether no adapter answers here.
     fn is_mute(&self, now: Instant) -> bool {
         let heard_for = self.first_byte.map(|first| now.saturating_duration_since(first));
         self.fastest.is_none() && heard_for.is_some_and(|it| it > ANSWERS_WITHIN)
@@ -198,8 +198,8 @@ mod tests {
         Event::Frame(Frame::new(OFFSET_Z_ID, &[0; 8]).expect("a frame"))
     }
 
-    /// A line on which each way takes `delay`, and which stands still from 1 s to `until`: how many of the offset
-    /// frames of each are used, by how old they are when they come, in ms; and the age of what is sent.
+    /// Returns a line on which each way takes `delay`, and which stands still from 1 s to `until`: how many of the
+    /// offset frames of each are used, by how old they are when they come, in ms; and the age of what is sent.
     fn play(delay: Duration, until: Duration, answers: bool) -> (Vec<u128>, Vec<u128>, Dating) {
         let start = Instant::now();
         let at = |ms: u32| start + ms * MS;

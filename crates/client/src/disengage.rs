@@ -84,7 +84,7 @@ pub fn disengage(
     Ok(outcome)
 }
 
-/// Whether a CNC commands the bridge. One that has just left counts until its link timeout is over.
+/// Returns whether a CNC commands the bridge. One that has just left counts until its link timeout is over.
 fn is_commanded(session: &mut Session) -> Result<bool> {
     let accepted = object::number(session, ACCEPTED)?;
     let ends = Instant::now() + link_timeout(session)? + REMNANT_MARGIN;

@@ -13,14 +13,14 @@ pub(crate) const READ_TIMEOUT: Duration = Duration::from_millis(20);
 /// while fails in a way that [`is_timeout`].
 pub type Ends = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
-/// Whether a read that failed so has found nothing yet, and the line still stands.
+/// Returns whether a read that failed so has found nothing yet, and the line still stands.
 #[must_use]
 pub fn is_timeout(error: &io::Error) -> bool {
     use io::ErrorKind::{Interrupted, TimedOut, WouldBlock};
     matches!(error.kind(), Interrupted | TimedOut | WouldBlock)
 }
 
-/// Whether a serial port that failed to open so is in use by another program: by the system's own word, or
+/// Returns whether a serial port that failed to open so is in use by another program: by the system's own word, or
 /// by that of `serialport`, which locks a device that it opens, and has no kind for it.
 #[must_use]
 pub fn is_busy(error: &io::Error) -> bool {

@@ -53,7 +53,7 @@ fn obstacle(device: &Path) -> Option<String> {
     })
 }
 
-/// The CAN interfaces in a folder like `/sys/class/net`.
+/// Returns the CAN interfaces in a folder like `/sys/class/net`.
 fn can_interfaces(folder: &Path) -> Vec<FoundPort> {
     let Ok(entries) = fs::read_dir(folder) else { return Vec::new() };
     let read = |path: &Path, name: &str| fs::read_to_string(path.join(name)).unwrap_or_default();

@@ -50,7 +50,7 @@ pub fn holder(port: &Port) -> Option<String> {
     })
 }
 
-/// Whether a process has one of these open.
+/// Returns whether a process has one of these open.
 fn has_open(process: u32, targets: &[PathBuf]) -> bool {
     let Ok(files) = fs::read_dir(format!("/proc/{process}/fd")) else { return false };
     files
@@ -59,7 +59,8 @@ fn has_open(process: u32, targets: &[PathBuf]) -> bool {
         .any(|it| targets.contains(&it))
 }
 
-/// The sockets of the clients of a server, as the files of a process are called, in a table like `/proc/net/tcp`.
+/// Returns the sockets of the clients of a server, as the files of a process are called, in a table like
+/// `/proc/net/tcp`.
 fn clients(table: &str, server: u16) -> Vec<PathBuf> {
     let port_of = |address: &str| u16::from_str_radix(address.rsplit_once(':')?.1, 16).ok();
     let sockets = table.lines().skip(1).filter_map(|line| {

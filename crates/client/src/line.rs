@@ -76,7 +76,7 @@ impl Line {
         Self { heard, to_send, stop }
     }
 
-    /// What has happened since the last call; frames that have waited here for too long are left out.
+    /// Returns what has happened since the last call; frames that have waited here for too long are left out.
     pub fn heard(&self) -> impl Iterator<Item = LineEvent> + '_ {
         let is_old = |at: Instant, event: &LineEvent| {
             matches!(event, LineEvent::Received(Event::Frame(_))) && at.elapsed() > LATE

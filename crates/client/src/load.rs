@@ -144,7 +144,7 @@ pub fn forget_reference(session: &mut Session) -> Result<()> {
     Ok(())
 }
 
-/// The calibration that the bridge runs on; `None`: it has no valid one. `progress` hears how many bytes
+/// Returns the calibration that the bridge runs on; `None`: it has no valid one. `progress` hears how many bytes
 /// have come, and of how many.
 ///
 /// # Errors
@@ -167,7 +167,7 @@ pub fn running(
     }
 }
 
-/// The same for a bridge that nothing was written to before: its CNC, or else the session, has to allow it.
+/// Returns the same for a bridge that nothing was written to before: its CNC, or else the session, has to allow it.
 ///
 /// # Errors
 /// As [`restart`], or nobody allows it.
@@ -247,7 +247,7 @@ fn ask_leave(session: &mut Session) -> Result<()> {
     }
 }
 
-/// The link timeout of the running calibration.
+/// Returns the link timeout of the running calibration.
 pub(crate) fn link_timeout(session: &mut Session) -> Result<Duration> {
     let blob = running(session, |_, _| ())?.unwrap_or_default();
     // Without one that can be read: the largest.

@@ -45,12 +45,12 @@ impl Patience {
         self.beats = self.beats.saturating_add(is_beat.into());
     }
 
-    /// Whether no answer is to be expected any more.
+    /// Returns whether no answer is to be expected any more.
     pub fn is_over(&self) -> bool {
         self.silent >= SILENCE || self.listened >= LEAST && self.beats >= BEATS
     }
 
-    /// How long has been listened.
+    /// Returns how long has been listened.
     pub fn listened(&self) -> Duration {
         self.listened
     }

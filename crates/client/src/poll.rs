@@ -45,7 +45,7 @@ impl Poll {
         Self { at, period, due: now, running: None }
     }
 
-    /// The request, if one is due.
+    /// Returns the request, if one is due.
     pub fn due(&mut self, now: Instant) -> Option<Frame> {
         if self.running.as_ref().is_some_and(|(_, _, last)| now.duration_since(*last) > PATIENCE) {
             self.running = None;
@@ -100,7 +100,7 @@ impl Poll {
         self.running.is_some()
     }
 
-    /// How much has come of how many bytes, while the object comes in parts.
+    /// Returns how much has come of how many bytes, while the object comes in parts.
     #[must_use]
     pub fn progress(&self) -> Option<(usize, u32)> {
         let (upload, bytes, _) = self.running.as_ref()?;

@@ -60,7 +60,7 @@ impl Port {
         Err(Unusable::NoPort { text: text.into() })
     }
 
-    /// What a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
+    /// Returns what a log of frames calls it: a line of SLCAN as `slcand` would name its interface.
     #[must_use]
     pub fn interface(&self) -> &str {
         match self {
@@ -70,7 +70,7 @@ impl Port {
         }
     }
 
-    /// Whether an adapter of SLCAN answers behind it: the bridge itself, whose channel has to be
+    /// Returns whether an adapter of SLCAN answers behind it: the bridge itself, whose channel has to be
     /// opened and which says who it is. Behind a CAN interface nothing answers but frames.
     #[must_use]
     pub const fn has_adapter(&self) -> bool {
@@ -105,7 +105,7 @@ impl Port {
     }
 }
 
-/// Whether `text` is one of `names` with a number after it.
+/// Returns whether `text` is one of `names` with a number after it.
 fn is_numbered(text: &str, names: &[&str]) -> bool {
     names.iter().any(|name| {
         text.strip_prefix(name)

@@ -211,7 +211,7 @@ impl Recorder {
         self.run.flush()
     }
 
-    /// What was written, in one sentence.
+    /// Returns what was written, in one sentence.
     #[must_use]
     pub fn summary(&self) -> String {
         format!(
@@ -250,7 +250,7 @@ impl Recorder {
     }
 }
 
-/// The channel and the name of each temperature of a machine file, by channel.
+/// Returns the channel and the name of each temperature of a machine file, by channel.
 #[must_use]
 pub fn temperature_columns(machine: &Machine) -> Vec<(u8, String)> {
     let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);

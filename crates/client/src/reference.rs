@@ -63,7 +63,7 @@ impl BridgeReference {
         Ok(all)
     }
 
-    /// The one that counts, or would.
+    /// Returns the one that counts, or would.
     #[must_use]
     pub fn value(&self) -> Option<Nanometres> {
         self.offered.or(self.in_force)
@@ -93,7 +93,7 @@ impl BridgeReference {
         format!("{}; {by}, {when}; {state}", micrometres_text(nm))
     }
 
-    /// The same as JSON members.
+    /// Returns the same as JSON members.
     #[must_use]
     pub fn json(&self) -> Value {
         let um = |nm: Nanometres| {
@@ -125,7 +125,7 @@ pub(crate) fn now_s() -> Option<u32> {
     u32::try_from(since.as_secs()).ok()
 }
 
-/// A reference in µm.
+/// Returns a reference in µm.
 #[must_use]
 pub fn micrometres_text(nm: Nanometres) -> String {
     let parts = ["elongation", "X", "Y", "Z"].into_iter().zip(nm);
@@ -133,7 +133,7 @@ pub fn micrometres_text(nm: Nanometres) -> String {
     parts.collect::<Vec<_>>().join(", ")
 }
 
-/// An age in its largest unit that is below two of the next.
+/// Returns an age in its largest unit that is below two of the next.
 fn age_text(age_s: u32) -> String {
     match age_s {
         0..120 => format!("{age_s} s"),

@@ -1,6 +1,6 @@
 //! What to do about each word that the bridge says of itself: a flag, a fault or a bit of its state.
 
-/// The words in the order of this list, what is worst first, each once, with its remedy.
+/// Returns the words in the order of this list, what is worst first, each once, with its remedy.
 #[must_use]
 pub fn remedies(words: &[&str]) -> Vec<(&'static str, &'static str)> {
     REMEDIES.into_iter().filter(|(word, _)| words.contains(word)).collect()

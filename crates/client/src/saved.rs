@@ -62,7 +62,7 @@ impl Owner {
         })
     }
 
-    /// Whether both may be the same; what one does not know does not differ.
+    /// Returns whether both may be the same; what one does not know does not differ.
     #[must_use]
     pub fn is_same(&self, other: &Self) -> bool {
         let boards = [&self.board, &other.board];
@@ -145,7 +145,7 @@ impl SavedBoard {
         Ok(Self { all, calibration, reference: reference.value() })
     }
 
-    /// The file.
+    /// Returns the file.
     ///
     /// # Errors
     /// None that a value of this kind has.
@@ -191,7 +191,7 @@ impl SavedBoard {
         Ok(Self { all, calibration, reference })
     }
 
-    /// Whether a checksum protects it; files of version 0.2 have none.
+    /// Returns whether a checksum protects it; files of version 0.2 have none.
     #[must_use]
     pub fn is_protected(&self) -> bool {
         !self.all["checksum"].is_null()
@@ -208,14 +208,14 @@ impl SavedBoard {
         }
     }
 
-    /// The CRC of its calibration.
+    /// Returns the CRC of its calibration.
     #[must_use]
     pub fn crc(&self) -> u32 {
         identity(&self.calibration)
     }
 }
 
-/// Whether it is no larger than the board would take.
+/// Returns whether it is no larger than the board would take.
 fn is_permitted(bridge: &Bridge<'_>, nm: Nanometres) -> bool {
     let [elongation, axes @ ..] = nm;
     let fine = |nm: i32| nm.checked_mul(Fine::PER_NANOMETRE).map(Fine);

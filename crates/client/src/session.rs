@@ -177,7 +177,7 @@ impl Session {
         self.service = Some((control, 0, Instant::now()));
     }
 
-    /// Whether it does.
+    /// Returns whether it does.
     #[must_use]
     pub const fn says_service(&self) -> bool {
         self.service.is_some()
@@ -217,7 +217,7 @@ impl Session {
         self.write(encode_line(frame).as_bytes())
     }
 
-    /// The next thing that the bridge says; `None` if there is nothing until `deadline`.
+    /// Returns the next thing that the bridge says; `None` if there is nothing until `deadline`.
     ///
     /// # Errors
     /// The line is broken, or closed at its other end.

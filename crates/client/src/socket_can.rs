@@ -33,7 +33,7 @@ pub fn open(interface: &str) -> io::Result<Ends> {
 trait Bus: Send + Sync + 'static {
     fn send(&self, frame: &Frame) -> io::Result<()>;
 
-    /// The next standard data frame. Anything else, or nothing for [`READ_TIMEOUT`], fails as timed
+    /// Returns the next standard data frame. Anything else, or nothing for [`READ_TIMEOUT`], fails as timed
     /// out.
     fn receive(&self) -> io::Result<Frame>;
 }

@@ -73,7 +73,7 @@ impl Board {
         Some(status.item)
     }
 
-    /// What is wrong with the board and what a CNC must know of it, in words.
+    /// Returns what is wrong with the board and what a CNC must know of it, in words.
     #[must_use]
     pub fn words(&self) -> Vec<&'static str> {
         let mut words = fault_words(Faults::from_words(self.faults.into(), 0));
@@ -103,13 +103,13 @@ impl Board {
             .saturating_add(counters.malformed)
     }
 
-    /// The elongation of the spindle in µm, by its sensor.
+    /// Returns the elongation of the spindle in µm, by its sensor.
     #[must_use]
     pub fn elongation_um(&self) -> Option<f64> {
         self.elongation.map(micrometres)
     }
 
-    /// The temperatures that are known, the faults, and what the board has refused, if anything.
+    /// Returns the temperatures that are known, the faults, and what the board has refused, if anything.
     #[must_use]
     pub fn text(&self) -> String {
         let known =
@@ -138,7 +138,7 @@ impl Board {
         text
     }
 
-    /// The same as JSON members.
+    /// Returns the same as JSON members.
     #[must_use]
     pub fn json(&self) -> Value {
         json!({

@@ -10,7 +10,7 @@ use trueup_link::{frames::State, status::StateBits};
 
 use crate::questions::open_questions;
 
-/// A quality in a word.
+/// Returns a quality in a word.
 #[must_use]
 pub fn quality_word(quality: Quality) -> &'static str {
     match quality {
@@ -44,7 +44,7 @@ pub fn waits_for(
     state.contains(StateBits::RESTARTED).then_some("engage")
 }
 
-/// The flags that are set, in words.
+/// Returns the flags that are set, in words.
 #[must_use]
 pub fn flag_words(flags: Flags) -> Vec<&'static str> {
     const WORDS: [(Flags, &str); 8] = [
@@ -67,14 +67,14 @@ pub fn fault_words(faults: Faults) -> Vec<&'static str> {
     Fault::ALL.into_iter().filter(is_set).map(Fault::word).collect()
 }
 
-/// The bits of the state that are set, in words.
+/// Returns the bits of the state that are set, in words.
 #[must_use]
 pub fn state_words(state: StateBits) -> Vec<&'static str> {
     let is_set = |(bit, _): &(StateBits, &str)| state.contains(*bit);
     StateBits::WORDS.into_iter().filter(is_set).map(|(_, word)| word).collect()
 }
 
-/// A heartbeat's state in a word, as CiA 301 names it.
+/// Returns a heartbeat's state in a word, as CiA 301 names it.
 #[must_use]
 pub fn state_word(state: State) -> &'static str {
     match state {
@@ -85,19 +85,19 @@ pub fn state_word(state: State) -> &'static str {
     }
 }
 
-/// A length in µm.
+/// Returns a length in µm.
 #[must_use]
 pub fn micrometres(length: Nanometres) -> f64 {
     f64::from(length.0) / f64::from(NANOMETRES_PER_MICROMETRE)
 }
 
-/// The offsets of X, Y and Z in µm, if they are available.
+/// Returns the offsets of X, Y and Z in µm, if they are available.
 #[must_use]
 pub fn offset_um(output: &Output) -> Option<[f64; 3]> {
     output.offset.map(|offset| offset.map(micrometres))
 }
 
-/// What the offsets' frames say, in one phrase.
+/// Returns what the offsets' frames say, in one phrase.
 #[must_use]
 pub fn output_text(output: &Output) -> String {
     let offset = match offset_um(output) {
@@ -117,7 +117,7 @@ pub fn output_text(output: &Output) -> String {
     format!("{offset}  {quality}  {flags}  age {age}")
 }
 
-/// The same as JSON members; `null` throughout without an output.
+/// Returns the same as JSON members; `null` throughout without an output.
 #[must_use]
 pub fn output_json(output: Option<&Output>) -> Value {
     json!({

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use trueup_store::writes::{SIZE, What, Write};
 
-/// The writes of object 0x2110, the oldest first; those of another version are left out.
+/// Returns the writes of object 0x2110, the oldest first; those of another version are left out.
 #[must_use]
 pub fn writes(bytes: &[u8]) -> Vec<Write> {
     bytes.as_chunks::<SIZE>().0.iter().filter_map(Write::from_bytes).collect()
@@ -36,7 +36,7 @@ pub fn text(write: &Write) -> String {
     format!("{number} {}{about}, {time}, by {}", write.what.word(), write.origin.word())
 }
 
-/// The same as JSON.
+/// Returns the same as JSON.
 #[must_use]
 pub fn json(write: &Write) -> Value {
     json!({

@@ -12,7 +12,7 @@ use trueup_link::status::{ResetReason, StateBits};
 
 const PAGE: &str = include_str!("../../../docs/book/src/words.md");
 
-/// The words in the first cells of a section's table.
+/// Returns the words in the first cells of a section's table.
 fn words(section: &str) -> BTreeSet<&'static str> {
     let from = PAGE.split_once(section).unwrap_or_else(|| panic!("no section {section}")).1;
     let rows = from.lines().take_while(|line| !line.starts_with("## "));

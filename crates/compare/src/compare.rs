@@ -303,7 +303,7 @@ impl Law {
         laws
     }
 
-    /// A constant and these of: 1 where the approach was negative; the position in m.
+    /// Returns a constant and these of: 1 where the approach was negative; the position in m.
     fn linear(
         places: &[Place],
         variance: Option<f64>,
@@ -391,7 +391,7 @@ fn quantity_of(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Quan
     }
 }
 
-/// The column of the axis that travels most in both.
+/// Returns the column of the axis that travels most in both.
 fn moving_axis(a: &RunFile, b: &RunFile, quantity: Quantity) -> Result<String, BadInput> {
     let travel = |run: &RunFile, name: &str| {
         let there = run.column(name)?.iter().copied().filter(|mm| mm.is_finite());

@@ -20,7 +20,7 @@ pub struct Constant {
     pub half_width: Option<f64>,
 }
 
-/// The day in a file's name.
+/// Returns the day in a file's name.
 ///
 /// ```
 /// use trueup_compare::dated::{day_of, text_of};
@@ -47,7 +47,7 @@ pub fn day_of(name: &str) -> Option<Day> {
     (0..name.len()).filter(|start| name.is_char_boundary(*start)).find_map(at)
 }
 
-/// A day as `2026-11-22`.
+/// Returns a day as `2026-11-22`.
 #[must_use]
 pub fn text_of(day: Day) -> String {
     let (year, month, day) = civil(day);
@@ -74,7 +74,7 @@ fn civil(days: Day) -> (Day, Day, Day) {
     (year + era * 400 + i64::from(month <= 2), month, day)
 }
 
-/// The constants of a machine file that wear or drift.
+/// Returns the constants of a machine file that wear or drift.
 #[must_use]
 pub fn of_machine(machine: &Machine) -> Vec<Constant> {
     let mut found = Vec::new();

@@ -7,7 +7,7 @@ use crate::{
     trend::Trend,
 };
 
-/// The page of a comparison of two runs, by their names.
+/// Returns the page of a comparison of two runs, by their names.
 #[must_use]
 pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> String {
     let mut page = Page::new(&format!("{a} and {b}"));
@@ -56,7 +56,7 @@ pub fn of_comparison(it: &Comparison, [a, b]: [&str; 2], origin: &Origin) -> Str
     page.html()
 }
 
-/// The page of trends.
+/// Returns the page of trends.
 #[must_use]
 pub fn of_trends(trends: &[Trend], folder: &str, origin: &Origin) -> String {
     let mut page = Page::new(&format!("What changes in {folder}"));

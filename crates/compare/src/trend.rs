@@ -97,7 +97,8 @@ fn step(points: &[Point], squares: f64, own: Option<f64>) -> Option<(Step, f64)>
     Some((step, bic(squares, 2.0) - bic(two, 3.0)))
 }
 
-/// The trends of these days' constants; `limit`: a change that matters; `today` says whether a measurement is overdue.
+/// Returns the trends of these days' constants; `limit`: a change that matters; `today` says whether a measurement is
+/// overdue.
 #[must_use]
 pub fn trends(days: &[(Day, Vec<Constant>)], limit: Option<f64>, today: Option<Day>) -> Vec<Trend> {
     let mut days: Vec<&(Day, Vec<Constant>)> = days.iter().collect();

@@ -98,7 +98,7 @@ mod tests {
     use super::*;
     extern crate std;
 
-    /// What the wire carries: 20 bits of 0.0005°, −262.144…+262.1435°.
+    /// Returns what the wire carries: 20 bits of 0.0005°, −262.144…+262.1435°.
     fn angles_of_the_wire() -> impl Iterator<Item = i32> {
         (-(1 << 19)..1 << 19).map(|step| step * 500)
     }

@@ -110,14 +110,14 @@ pub struct Input<'a> {
 const ASKING_PHASE: usize = CHANNELS + heat::ITEMS;
 
 impl<'a> Bridge<'a> {
-    /// A bridge for this machine.
+    /// Returns a bridge for this machine.
     #[must_use]
     pub fn new(calibration: Calibration<'a>) -> Self {
         let largest = calibration.limits.max.map(|max| Fine(max.fine().0.max(0)));
         Self { calibration, needs: RequiredInputs::of(&calibration), largest }
     }
 
-    /// What it knows of the machine.
+    /// Returns what it knows of the machine.
     #[must_use]
     pub fn calibration(&self) -> &Calibration<'a> {
         &self.calibration
@@ -172,7 +172,7 @@ impl<'a> Bridge<'a> {
         state.heat.learned.ask(change, self.calibration.limits.learned)
     }
 
-    /// One tick: `now` is the time at its end.
+    /// Returns one tick: `now` is the time at its end.
     // A part of the node's tick, also where an image has that twice: a call costs 20 instructions.
     #[inline(always)]
     pub fn tick(&self, state: &mut State, now: Millis, input: Input<'_>) -> Output {
@@ -341,7 +341,7 @@ impl<'a> Bridge<'a> {
         state.heat.wait(true);
     }
 
-    /// The heat that outlasts a reset.
+    /// Returns the heat that outlasts a reset.
     #[must_use]
     pub fn heat_memory(&self, state: &State) -> HeatMemory {
         state.heat.memory(&self.calibration)
@@ -374,14 +374,14 @@ impl<'a> Bridge<'a> {
             && (doubtful.has_any(self.needs.temperatures) || self.holds_source(state, chosen))
     }
 
-    /// Whether the temperatures of the axes are there.
+    /// Returns whether the temperatures of the axes are there.
     fn knows_temperatures(&self, state: &State) -> bool {
         state.channels.all_known(self.needs.temperatures)
             && state.heat.knows(self.needs.laws)
             && state.heat.terms().knows(self.needs.heat_terms)
     }
 
-    /// Whether the positions and angles are there that the CNC sends.
+    /// Returns whether the positions and angles are there that the CNC sends.
     fn knows_place(&self, state: &State) -> bool {
         let mut positions = self.needs.position_ms.iter().zip(&state.position_age);
         let timeout_ms = self.calibration.limits.link_timeout_ms;
@@ -390,7 +390,7 @@ impl<'a> Bridge<'a> {
             && (!self.needs.operating_point || state.spindle.value(timeout_ms).is_some())
     }
 
-    /// Whether an input of the board itself is broken for which there is no other, or what it would
+    /// Returns whether an input of the board itself is broken for which there is no other, or what it would
     /// follow is not known. What has only not come yet is not broken.
     fn is_faulty(&self, state: &State, chosen: SelectedSource) -> bool {
         let lacks_heat = || {
@@ -402,7 +402,7 @@ impl<'a> Bridge<'a> {
             || lacks_heat()
     }
 
-    /// The errors of the axes at the present place.
+    /// Returns the errors of the axes at the present place.
     #[inline]
     fn axis_errors(&self, state: &mut State) -> ErrorSums {
         match &state.axes {
@@ -444,7 +444,7 @@ impl<'a> Bridge<'a> {
         }
     }
 
-    /// The offset that undoes the error since the reference; and whether the elongation along an
+    /// Returns the offset that undoes the error since the reference; and whether the elongation along an
     /// axis was held at its limit.
     // A part of the tick: a call costs 17 instructions.
     #[inline(always)]
@@ -464,7 +464,7 @@ impl<'a> Bridge<'a> {
         (target, clamped)
     }
 
-    /// The tool direction at the present angles.
+    /// Returns the tool direction at the present angles.
     fn direction(&self, state: &State) -> Direction {
         match state.tool.latest() {
             Some((_, direction)) => direction,
@@ -473,7 +473,7 @@ impl<'a> Bridge<'a> {
     }
 }
 
-/// The age of the oldest input that the offset rests on: the newest sample, and the positions and
+/// Returns the age of the oldest input that the offset rests on: the newest sample, and the positions and
 /// angles of axes that move. Temperatures are slow, and have a limit of their own.
 #[inline]
 fn age(state: &State, chosen: SelectedSource) -> Age {

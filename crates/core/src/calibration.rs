@@ -134,7 +134,7 @@ pub struct SpindleTemperature<'a> {
 }
 
 impl SpindleTemperature<'_> {
-    /// Whether it lags, and so has to know what was before.
+    /// Returns whether it lags, and so has to know what was before.
     #[must_use]
     pub fn has_memory(&self) -> bool {
         [self.smoothing, self.smoothing_falling] != [SmoothingFactor::NO_LAG; 2]
@@ -151,7 +151,7 @@ pub struct SpindleWarmup<'a> {
 }
 
 impl SpindleWarmup<'_> {
-    /// How hard the spindle heats at this speed, Q28. An unknown speed does not heat.
+    /// Returns how hard the spindle heats at this speed, Q28. An unknown speed does not heat.
     #[must_use]
     pub fn drive(&self, speed: Option<Rpm>) -> i32 {
         /// 1 in Q28.

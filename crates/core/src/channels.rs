@@ -93,7 +93,7 @@ impl Channel {
         }
     }
 
-    /// Whether it has been read and has nothing believable: other than before the first reading.
+    /// Returns whether it has been read and has nothing believable: other than before the first reading.
     #[must_use]
     pub fn is_faulty(&self) -> bool {
         self.temperature.is_none() && self.bad > 0
@@ -164,25 +164,25 @@ impl Channels {
             })
     }
 
-    /// The temperature of a channel, where there is one.
+    /// Returns the temperature of a channel, where there is one.
     #[must_use]
     pub fn temperature(&self, channel: u8) -> Option<Temperature> {
         self.channels.get(usize::from(channel)).and_then(Channel::temperature)
     }
 
-    /// All of them.
+    /// Returns all of them.
     #[must_use]
     pub fn temperatures(&self) -> [Option<Temperature>; CHANNELS] {
         self.channels.map(|channel| channel.temperature())
     }
 
-    /// Whether all of these have a temperature.
+    /// Returns whether all of these have a temperature.
     #[must_use]
     pub fn all_known(&self, channels: IndexSet) -> bool {
         self.known.has_all(channels)
     }
 
-    /// Whether one of these is faulty.
+    /// Returns whether one of these is faulty.
     #[must_use]
     pub fn any_faulty(&self, channels: IndexSet) -> bool {
         self.faulty.has_any(channels)
@@ -200,7 +200,7 @@ impl Channels {
         self.doubtful
     }
 
-    /// Whether the last reading of a channel was a good one; of one that does not exist none is.
+    /// Returns whether the last reading of a channel was a good one; of one that does not exist none is.
     #[must_use]
     pub fn is_current(&self, channel: u8) -> bool {
         self.channels
@@ -208,7 +208,7 @@ impl Channels {
             .is_some_and(|it| it.temperature.is_some() && it.bad == 0)
     }
 
-    /// Whether a channel is faulty; one that does not exist is.
+    /// Returns whether a channel is faulty; one that does not exist is.
     #[must_use]
     pub fn is_faulty(&self, channel: u8) -> bool {
         self.channels.get(usize::from(channel)).is_none_or(Channel::is_faulty)

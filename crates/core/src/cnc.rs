@@ -122,7 +122,7 @@ pub enum Heading {
 }
 
 impl Heading {
-    /// The heading with this number on the wire.
+    /// Returns the heading with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: i8) -> Option<Self> {
         Some(match number {
@@ -163,7 +163,7 @@ pub enum Quality {
 }
 
 impl Quality {
-    /// The quality with this number on the wire.
+    /// Returns the quality with this number on the wire.
     #[must_use]
     pub fn from_wire(number: u8) -> Option<Self> {
         Some(match number {
@@ -215,7 +215,7 @@ impl Flags {
         if condition { self.with(other) } else { self }
     }
 
-    /// Whether every flag of `other` is set.
+    /// Returns whether every flag of `other` is set.
     #[must_use]
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0

@@ -58,7 +58,7 @@ pub struct Curve<'a> {
 }
 
 impl<'a> Curve<'a> {
-    /// The curve over `segments`, the first of which begins at `first`.
+    /// Returns the curve over `segments`, the first of which begins at `first`.
     ///
     /// `index` holds, for every bucket of 2^`bucket_shift` positions (1…32) from the first knot to
     /// the last, the number of the segment in which the bucket's first position lies, two bytes,
@@ -80,25 +80,25 @@ impl<'a> Curve<'a> {
         Self { segments, index, first: first.0, length, buckets }
     }
 
-    /// Whether there is no segment: 0 everywhere.
+    /// Returns whether there is no segment: 0 everywhere.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.segments.is_empty()
     }
 
-    /// The first knot.
+    /// Returns the first knot.
     #[must_use]
     pub const fn first(&self) -> Position {
         Position(self.first)
     }
 
-    /// The segments as they are stored.
+    /// Returns the segments as they are stored.
     #[must_use]
     pub const fn segments(&self) -> &'a [[u8; SEGMENT_SIZE]] {
         self.segments
     }
 
-    /// The index as it is stored.
+    /// Returns the index as it is stored.
     #[must_use]
     pub const fn index(&self) -> &'a [[u8; 2]] {
         self.index
@@ -115,7 +115,7 @@ impl<'a> Curve<'a> {
         }
     }
 
-    /// The value at `p`, and whether `p` lies outside: there the value at the nearer end is held.
+    /// Returns the value at `p`, and whether `p` lies outside: there the value at the nearer end is held.
     ///
     /// The empty curve is 0 everywhere, with nothing outside. Whatever the bytes, the search ends
     /// after at most [`MAX_KNOTS_IN_BUCKET`] steps; where it leads nowhere, this says 0 and
@@ -146,7 +146,7 @@ impl<'a> Curve<'a> {
         found.map_or((Fine::ZERO, !self.segments.is_empty()), |value| (value, false))
     }
 
-    /// The value at the end nearer to `p`, unless the curve is empty.
+    /// Returns the value at the end nearer to `p`, unless the curve is empty.
     #[cold]
     #[inline(never)]
     fn held(&self, p: Position) -> Option<Fine> {
@@ -159,7 +159,7 @@ impl<'a> Curve<'a> {
         }
     }
 
-    /// The value at `p`, which is `from_first` after the first knot.
+    /// Returns the value at `p`, which is `from_first` after the first knot.
     #[inline]
     fn inside(&self, p: Position, from_first: u32) -> Option<Fine> {
         let bucket = self.bucket(from_first);
@@ -175,14 +175,14 @@ impl<'a> Curve<'a> {
         Some(horner(words(segment), p))
     }
 
-    /// The number of the bucket that a position lies in. A product with a power of two is the
+    /// Returns the number of the bucket that a position lies in. A product with a power of two is the
     /// shift, in one instruction whatever the amount.
     #[inline]
     fn bucket(&self, from_first: u32) -> usize {
         high_word_unsigned(from_first, self.buckets) as usize
     }
 
-    /// Whether the curve is what [`Self::new`] asks for: knots rising, every segment sound, every
+    /// Returns whether the curve is what [`Self::new`] asks for: knots rising, every segment sound, every
     /// entry of the index right, no bucket with too many knots.
     ///
     /// Meant for loading, not for every tick.
@@ -206,7 +206,7 @@ impl<'a> Curve<'a> {
         sound && self.index_is_right()
     }
 
-    /// Whether every entry names the segment of its bucket's first position, and the steps allowed
+    /// Returns whether every entry names the segment of its bucket's first position, and the steps allowed
     /// from there reach the bucket's last; for rising knots.
     fn index_is_right(&self) -> bool {
         // Whether segment `n` ends before a position, which is counted from the first knot.

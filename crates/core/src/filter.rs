@@ -39,7 +39,7 @@ pub struct Filter {
 }
 
 impl Filter {
-    /// A filter that has seen nothing yet.
+    /// Returns a filter that has seen nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {

@@ -136,7 +136,7 @@ pub const fn rounded_shift_word(value: i32, shift: u32) -> i32 {
     value.saturating_add(half).wrapping_shr(shift)
 }
 
-/// The nearest number of 32 bits.
+/// Returns the nearest number of 32 bits.
 ///
 /// One that fits is told by its high word, which then repeats the sign of the low one: 3
 /// instructions, where two comparisons of 64 bits are 10.
@@ -163,7 +163,7 @@ pub struct Scaled {
 }
 
 impl Scaled {
-    /// The product with `x`, rounded to the nearest; saturates. |x| up to 2³².
+    /// Returns the product with `x`, rounded to the nearest; saturates. |x| up to 2³².
     ///
     /// ```
     /// use trueup_core::fixed::Scaled;
@@ -264,7 +264,7 @@ mod tests {
         assert_eq!([i64::MIN, i64::MAX].map(saturated), [i32::MIN, i32::MAX]);
     }
 
-    /// The nearest coefficient to `value`, as the host makes it.
+    /// Returns the nearest coefficient to `value`, as the host makes it.
     fn scaled(value: f64) -> Scaled {
         let mut shift = 62_u8;
         while (value * 2_f64.powi(shift.into())).abs() >= 1_073_741_823.0 {

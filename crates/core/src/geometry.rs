@@ -36,7 +36,7 @@ pub struct AxisError {
 }
 
 impl AxisError {
-    /// The sum, each part held to ±`largest` first; and whether a part was held.
+    /// Returns the sum, each part held to ±`largest` first; and whether a part was held.
     #[must_use]
     pub fn sum(&self, largest: Fine) -> (Fine, bool) {
         let [thermal, positioning, guides, terms] =
@@ -68,7 +68,7 @@ pub struct ErrorSums {
 }
 
 impl Errors {
-    /// The sums, each part clamped to ±`largest` of its axis first.
+    /// Returns the sums, each part clamped to ±`largest` of its axis first.
     #[must_use]
     pub fn sums(&self, largest: [Fine; 3]) -> ErrorSums {
         let mut all = ErrorSums { sums: [Fine::ZERO; 3], clamped: false, outside: self.outside };
@@ -102,7 +102,7 @@ struct Guide {
 }
 
 impl Calibration<'_> {
-    /// The errors of the axes at a place.
+    /// Returns the errors of the axes at a place.
     #[must_use]
     pub fn errors(&self, heat: &Heat, place: &Place) -> Errors {
         *CachedErrors::at(self, heat, place).errors()
@@ -110,7 +110,7 @@ impl Calibration<'_> {
 }
 
 impl CachedErrors {
-    /// The errors at a place.
+    /// Returns the errors at a place.
     #[must_use]
     pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
         let mut cached = Self::default();
@@ -120,7 +120,7 @@ impl CachedErrors {
         cached
     }
 
-    /// The errors that are cached.
+    /// Returns the errors that are cached.
     #[must_use]
     pub fn errors(&self) -> &Errors {
         &self.errors

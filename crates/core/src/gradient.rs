@@ -20,7 +20,7 @@ impl Gradient {
     /// Binary places of a nanometre per position unit.
     pub const FRACTION_BITS: u32 = 36;
 
-    /// The error at `to` of an axis that is right at `from`; saturates at ±8.388 mm.
+    /// Returns the error at `to` of an axis that is right at `from`; saturates at ±8.388 mm.
     ///
     /// ```
     /// use trueup_core::{gradient::Gradient, units::{Nanometres, Position}};

@@ -183,13 +183,14 @@ impl Health {
         self.continues = false;
     }
 
-    /// Whether the sensor was somewhere else of late than anything on a machine gets in so short a time, and stayed.
+    /// Returns whether the sensor was somewhere else of late than anything on a machine gets in so short a time, and
+    /// stayed.
     #[must_use]
     pub const fn has_jumped(&self) -> bool {
         self.jumped && self.good_since < JUMP_TOLD_CODES
     }
 
-    /// The noise since the last call.
+    /// Returns the noise since the last call.
     pub fn take_noise(&mut self) -> Noise {
         core::mem::take(&mut self.noise)
     }
@@ -255,7 +256,7 @@ impl Health {
         self.mended = mended;
     }
 
-    /// Whether a code goes on from the last good one, or is the last that another level needs.
+    /// Returns whether a code goes on from the last good one, or is the last that another level needs.
     fn is_good(&mut self, now: Code, follows: bool) -> bool {
         if is_near(self.good, now) {
             return true;
@@ -310,8 +311,8 @@ impl Health {
     }
 }
 
-/// The sum of the squared second differences of a block, the first two of which begin in the block `before`; `None` if a
-/// code is at a rail: one pass answers both.
+/// Returns the sum of the squared second differences of a block, the first two of which begin in the block `before`;
+/// `None` if a code is at a rail: one pass answers both.
 #[inline]
 fn ordinary_squares(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> Option<u32> {
     let mut window = before;
@@ -328,7 +329,7 @@ fn ordinary_squares(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> Option
 #[allow(clippy::cast_possible_truncation, reason = "20")]
 const BLOCK: u16 = CODES_PER_TICK as u16;
 
-/// Whether a code tells a broken wire or a short: one comparison for both rails.
+/// Returns whether a code tells a broken wire or a short: one comparison for both rails.
 #[inline]
 fn is_at_rail(code: Code) -> bool {
     const LOWEST: u32 = LOW_RAIL.0 as u32 + 1;
@@ -336,13 +337,13 @@ fn is_at_rail(code: Code) -> bool {
     u32::from(code.0).wrapping_sub(LOWEST) > HIGHEST - LOWEST
 }
 
-/// Whether one code can follow from another.
+/// Returns whether one code can follow from another.
 #[inline]
 fn is_near(a: Code, b: Code) -> bool {
     a.0.abs_diff(b.0) <= REACH
 }
 
-/// The squared second difference of three codes.
+/// Returns the squared second difference of three codes.
 #[inline]
 fn square([older, old]: [Code; 2], new: Code) -> u64 {
     let [older, old, new] = [older, old, new].map(|code| i32::from(code.0));

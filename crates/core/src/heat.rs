@@ -59,7 +59,7 @@ pub struct Heat {
 /// What may be left of an error of heat that is not known: 1 µm.
 const LEFT_NM: i64 = 1_000;
 
-/// Whether these are at least two thermometers, all of which agree within `within`. One that is
+/// Returns whether these are at least two thermometers, all of which agree within `within`. One that is
 /// connected and not known agrees with none.
 pub fn agree(all: impl Iterator<Item = (bool, Option<Temperature>)>, within: Temperature) -> bool {
     let (mut count, mut least, mut most) = (0_u32, i32::MAX, i32::MIN);
@@ -137,7 +137,7 @@ impl Heat {
         self.axes.get(axis).map_or_else(Default::default, |heat| (heat.constant, heat.gradient))
     }
 
-    /// Whether it is not known how warm the machine was before the start.
+    /// Returns whether it is not known how warm the machine was before the start.
     #[must_use]
     pub const fn is_unknown(&self) -> bool {
         self.unknown_steps != 0
@@ -156,7 +156,7 @@ impl Heat {
         }
     }
 
-    /// What of it outlasts a reset.
+    /// Returns what of it outlasts a reset.
     #[must_use]
     pub fn memory(&self, calibration: &Calibration<'_>) -> HeatMemory {
         let mut memory = HeatMemory::default();
@@ -205,7 +205,7 @@ impl Heat {
         self.unknown_steps = slowest;
     }
 
-    /// Whether the laws of these axes have each had a temperature yet.
+    /// Returns whether the laws of these axes have each had a temperature yet.
     #[must_use]
     pub fn knows(&self, axes: IndexSet) -> bool {
         self.known.has_all(axes)
@@ -228,25 +228,25 @@ impl Heat {
         self.terms.turn(&calibration.terms, speed)
     }
 
-    /// What heat and time have made of the terms of a diagnosis.
+    /// Returns what heat and time have made of the terms of a diagnosis.
     #[must_use]
     pub fn terms(&self) -> &TermStates {
         &self.terms
     }
 
-    /// Whether the spindle's law had a temperature at its last step.
+    /// Returns whether the spindle's law had a temperature at its last step.
     #[must_use]
     pub const fn knows_spindle(&self) -> bool {
         self.knows_spindle
     }
 
-    /// The elongation by the spindle's temperature.
+    /// Returns the elongation by the spindle's temperature.
     #[must_use]
     pub fn by_temperature(&self) -> Nanometres {
         self.by_temperature.rounded()
     }
 
-    /// The elongation by the warm-up model.
+    /// Returns the elongation by the warm-up model.
     #[must_use]
     pub fn by_running_time(&self) -> Nanometres {
         self.by_running_time.rounded()
@@ -262,7 +262,7 @@ fn steps_until_known(key: Key, largest: Nanometres) -> u32 {
     slower.steps_to_one_of(parts)
 }
 
-/// What the lags of the axes follow; `None` without a lag.
+/// Returns what the lags of the axes follow; `None` without a lag.
 fn axis_keys(calibration: &Calibration<'_>) -> impl Iterator<Item = Option<Key>> {
     calibration.axes.iter().map(|axis| {
         let thermal = axis.thermal.as_ref()?;
@@ -285,12 +285,12 @@ fn key(input: u8, rising: SmoothingFactor, falling: SmoothingFactor) -> Option<K
     has_memory.then_some(Key { input, rising, falling })
 }
 
-/// The temperature of a channel.
+/// Returns the temperature of a channel.
 fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option<Temperature> {
     temperatures.get(usize::from(number)).copied().flatten()
 }
 
-/// The lagged temperature; a lag starts settled at the first temperature that it sees.
+/// Returns the lagged temperature; a lag starts settled at the first temperature that it sees.
 fn step_lag(
     lag: &mut Option<Lag>,
     temperature: Temperature,

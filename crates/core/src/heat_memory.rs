@@ -69,8 +69,8 @@ pub struct HeatMemory {
 }
 
 impl KeptLag {
-    /// The same after so many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle stood,
-    /// and what had grown since the start went back as fast. What follows a temperature makes up for them with
+    /// Returns the same after so many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle
+    /// stood, and what had grown since the start went back as fast. What follows a temperature makes up for them with
     /// the first that it sees. The same at once after none: a reset is no stop.
     #[must_use]
     #[inline(never)]
@@ -103,7 +103,7 @@ impl HeatMemory {
         }
     }
 
-    /// What the lag with this key had reached.
+    /// Returns what the lag with this key had reached.
     #[must_use]
     #[inline(never)]
     pub fn find(&self, key: Key) -> Option<KeptLag> {

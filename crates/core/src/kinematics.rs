@@ -107,7 +107,7 @@ fn turned_pair(p: i32, q: i32, (sine, cosine): (i32, i32)) -> (i32, i32) {
     )
 }
 
-/// A Q60 sum as Q30, rounded to the nearest.
+/// Returns a Q60 sum as Q30, rounded to the nearest.
 #[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
 fn rounded(sum: i64) -> i32 {
     rounded_shift(sum, Direction::FRACTION_BITS) as i32
@@ -208,7 +208,7 @@ mod tests {
             (self.0 >> 32) as i32
         }
 
-        /// A unit vector, any direction, rounded to Q30.
+        /// Returns a unit vector, any direction, rounded to Q30.
         fn direction(&mut self) -> Direction {
             loop {
                 let v = [self.next(), self.next(), self.next()].map(f64::from);

@@ -54,7 +54,7 @@ impl Lag {
     /// Binary places below the input's.
     const FRACTION_BITS: u32 = 28;
 
-    /// A lag that has followed `x` for ever.
+    /// Returns a lag that has followed `x` for ever.
     #[must_use]
     pub const fn settled(x: i32) -> Self {
         Self { state: (x as i64) << Self::FRACTION_BITS, missed: 0 }
@@ -66,7 +66,7 @@ impl Lag {
         self.state
     }
 
-    /// The lag with this state, which any `i64` of 60 bits and a sign is; more saturates.
+    /// Returns the lag with this state, which any `i64` of 60 bits and a sign is; more saturates.
     #[must_use]
     pub const fn from_bits(bits: i64) -> Self {
         let (least, most) = (Self::settled(i32::MIN).state, Self::settled(i32::MAX).state);
@@ -146,7 +146,7 @@ impl Lag {
         }
     }
 
-    /// The value, rounded to the nearest.
+    /// Returns the value, rounded to the nearest.
     #[must_use]
     pub fn value(&self) -> i32 {
         saturated(rounded_shift(self.state, Self::FRACTION_BITS))
@@ -178,7 +178,7 @@ mod tests {
         SmoothingFactor((smoothing * 4_294_967_296.0).round() as u32)
     }
 
-    /// A room that warms by 20 K in a step, falls slowly, swings, and rests.
+    /// Returns a room that warms by 20 K in a step, falls slowly, swings, and rests.
     fn input(step: u32) -> i32 {
         let hours = f64::from(step) * f64::from(STEP_MS) / 3.6e6;
         let celsius = match hours {
@@ -191,7 +191,7 @@ mod tests {
         (celsius * 1e3 * PER_MILLIKELVIN) as i32
     }
 
-    /// The worst error in mK over 6 hours, with the exact smoothing factor and with the rounded one.
+    /// Returns the worst error in mK over 6 hours, with the exact smoothing factor and with the rounded one.
     fn worst(tau_s: f64) -> (f64, f64) {
         let exact = smoothing(tau_s);
         let smoothing = rounded(exact);

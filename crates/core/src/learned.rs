@@ -43,7 +43,7 @@ pub struct Change {
     pub calibration: u16,
 }
 
-/// How a [`Change`] names the calibration with this CRC.
+/// Returns how a [`Change`] names the calibration with this CRC.
 #[must_use]
 pub const fn named(crc: u32) -> u16 {
     let [low, high, ..] = crc.to_le_bytes();
@@ -65,7 +65,7 @@ impl Caps {
     /// Units of a change in one of a cap.
     pub const UNITS: u16 = 100;
 
-    /// The most of this part, in its units.
+    /// Returns the most of this part, in its units.
     #[must_use]
     pub fn of(self, part: usize) -> u16 {
         let cap = match part {
@@ -108,13 +108,13 @@ impl Learned {
         }
     }
 
-    /// How far each part has come, in its units.
+    /// Returns how far each part has come, in its units.
     #[must_use]
     pub const fn now(&self) -> [i16; PARTS] {
         self.now
     }
 
-    /// The growth of the spindle with what was learned of it.
+    /// Returns the growth of the spindle with what was learned of it.
     ///
     /// ```
     /// use trueup_core::{learned::{Caps, Change, Learned}, units::Nanometres};
@@ -132,7 +132,7 @@ impl Learned {
         Nanometres(plain.0.saturating_add(of(plain.0, share)).saturating_add(zero.into()))
     }
 
-    /// The expansion of an axis, 0…2, with what was learned of it.
+    /// Returns the expansion of an axis, 0…2, with what was learned of it.
     #[must_use]
     #[inline]
     pub fn expansion(&self, axis: usize, plain: Fine) -> Fine {

@@ -53,7 +53,7 @@ pub struct LimitStatus {
 }
 
 impl Applied {
-    /// One step towards `target`, never beyond the clamp, never faster than the slew limit.
+    /// Returns one step towards `target`, never beyond the clamp, never faster than the slew limit.
     ///
     /// ```
     /// use trueup_core::{limits::{Applied, Limits}, units::Nanometres};
@@ -87,14 +87,14 @@ impl Applied {
         status
     }
 
-    /// The offset on X, Y and Z, rounded to the nanometre.
+    /// Returns the offset on X, Y and Z, rounded to the nanometre.
     #[must_use]
     #[inline]
     pub fn offset(&self) -> [Nanometres; 3] {
         self.0.map(|length| length.nanometres)
     }
 
-    /// Whether nothing is applied on any axis.
+    /// Returns whether nothing is applied on any axis.
     #[must_use]
     pub fn is_zero(&self) -> bool {
         *self == Self::default()
@@ -152,7 +152,7 @@ impl Reach {
     /// Beyond any distance.
     const ALL: Self = Self { nanometres: u32::MAX, rest: 999 };
 
-    /// How far something comes at this speed in this time.
+    /// Returns how far something comes at this speed in this time.
     ///
     /// Speed and time are divided by 1000 before they are multiplied, each a word and by a
     /// constant: (1000·w + r)·(1000·s + m) pm = w·t nm + r·s nm + r·m pm, with t = 1000·s + m.
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(applied.offset(), [Nanometres(500), Nanometres(-500), Nanometres(400)]);
     }
 
-    /// The same in one count of picometres, with a division of 64 bits.
+    /// Returns the same in one count of picometres, with a division of 64 bits.
     fn counted(picometres: &mut i64, target: i32, reach: i64) -> i32 {
         let missing = i64::from(target) * 1_000 - *picometres;
         *picometres += missing.clamp(-reach, reach);

@@ -28,7 +28,7 @@ struct Place {
 }
 
 impl Place {
-    /// The place of `p` among `count` points, or `None` where there is none: no step, no points.
+    /// Returns the place of `p` among `count` points, or `None` where there is none: no step, no points.
     #[inline]
     fn of(p: Position, start: Position, step: Interval, count: usize) -> Option<Self> {
         let last = count.checked_sub(1)?;
@@ -46,7 +46,7 @@ impl Place {
         Some(Self { number, fraction: step.fraction(rest), outside: false })
     }
 
-    /// The value of a table here.
+    /// Returns the value of a table here.
     #[inline]
     fn value(&self, points: &[[u8; 4]]) -> Option<Fine> {
         let value = |bytes: &[u8; 4]| Fine(i32::from_le_bytes(*bytes));
@@ -70,7 +70,7 @@ pub struct Table<'a> {
 }
 
 impl Table<'_> {
-    /// The error at `p`, and whether `p` lies outside, where the end value is held. A single point
+    /// Returns the error at `p`, and whether `p` lies outside, where the end value is held. A single point
     /// is a constant, outside everywhere but at its position. A step of 0 gives 0, outside.
     ///
     /// ```
@@ -112,7 +112,7 @@ pub struct Pitch<'a> {
 }
 
 impl Pitch<'_> {
-    /// The error at `p` when approached as `reversal` says, and whether `p` lies outside, as
+    /// Returns the error at `p` when approached as `reversal` says, and whether `p` lies outside, as
     /// [`Table::at`]. Where the reverse table is too short this says 0 and outside.
     ///
     /// ```
@@ -148,7 +148,7 @@ impl Pitch<'_> {
         Some((error, place.outside))
     }
 
-    /// Whether the table can be used: a step, and as many points both ways. Asked once, when it is
+    /// Returns whether the table can be used: a step, and as many points both ways. Asked once, when it is
     /// loaded.
     #[must_use]
     pub fn is_consistent(&self) -> bool {
@@ -199,7 +199,7 @@ impl Beam {
         self.distance.fraction(y.0.abs_diff(self.first.0))
     }
 
-    /// The error at `y` between errors `first` and `second` of the drives: (1 − w)·e₁ + w·e₂.
+    /// Returns the error at `y` between errors `first` and `second` of the drives: (1 − w)·e₁ + w·e₂.
     ///
     /// ```
     /// use trueup_core::{pitch::Beam, units::{Fine, Position}};

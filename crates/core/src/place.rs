@@ -17,7 +17,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// The position of an axis.
+    /// Returns the position of an axis.
     #[must_use]
     #[inline]
     pub fn of(&self, axis: LinearAxis) -> Position {

@@ -53,7 +53,7 @@ type Cubic = [i32; 4];
 
 static CUBICS: [Cubic; PIECES] = cubics();
 
-/// The temperature in °C at which the equation gives `ratio`·100 Ω, by Newton's method.
+/// Returns the temperature in °C at which the equation gives `ratio`·100 Ω, by Newton's method.
 const fn solved(ratio: f64) -> f64 {
     let mut t = (ratio - 1.0) / A;
     let mut steps = 0_u32;
@@ -70,13 +70,13 @@ const fn solved(ratio: f64) -> f64 {
     t
 }
 
-/// The nearest integer; for the tables that the compiler makes.
+/// Returns the nearest integer; for the tables that the compiler makes.
 #[allow(clippy::cast_possible_truncation, reason = "saturates, and a test checks the result")]
 const fn nearest(value: f64) -> i32 {
     if value < 0.0 { (value - 0.5) as i32 } else { (value + 0.5) as i32 }
 }
 
-/// The cubic through the equation at 0, ¼, ¾ and 1 of the piece that begins at `start` µΩ.
+/// Returns the cubic through the equation at 0, ¼, ¾ and 1 of the piece that begins at `start` µΩ.
 const fn cubic(start: f64) -> Cubic {
     const UNITS_PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
     const WIDTH: f64 = (1 << PIECE_BITS) as f64;
@@ -111,7 +111,7 @@ const fn cubics() -> [Cubic; PIECES] {
     table
 }
 
-/// The temperature of a thermometer of this resistance.
+/// Returns the temperature of a thermometer of this resistance.
 ///
 /// ```
 /// use trueup_core::{pt100::{Fault, temperature}, units::{MicroOhms, Temperature}};
@@ -145,7 +145,7 @@ pub fn temperature(r: MicroOhms) -> Result<Temperature, Fault> {
     Ok(Temperature(c0.wrapping_add(high_word(slope, x))))
 }
 
-/// The resistance of a thermometer at this temperature; below −200 °C, where the equation ends,
+/// Returns the resistance of a thermometer at this temperature; below −200 °C, where the equation ends,
 /// that of −200 °C.
 ///
 /// ```
@@ -182,7 +182,7 @@ mod tests {
 
     const PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
 
-    /// The equation, in micro-ohms.
+    /// Returns the equation, in micro-ohms.
     fn equation(t: f64) -> f64 {
         let below = if t < 0.0 { C * (t - 100.0) * t.powi(3) } else { 0.0 };
         1e8 * (1.0 + A * t + B * t * t + below)

@@ -33,7 +33,7 @@ pub struct RevolutionMean {
 }
 
 impl RevolutionMean {
-    /// An average that has seen nothing yet.
+    /// Returns an average that has seen nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { sums: [0; KEPT], newest: 0, filled: 0 }
@@ -85,14 +85,14 @@ impl RevolutionMean {
         means
     }
 
-    /// Whether a whole revolution has been seen.
+    /// Returns whether a whole revolution has been seen.
     #[must_use]
     #[inline]
     pub fn has_seen(&self, window: Window) -> bool {
         self.filled >= window.samples() as usize
     }
 
-    /// The mean over the last revolution, or `None` while a whole one has not been seen.
+    /// Returns the mean over the last revolution, or `None` while a whole one has not been seen.
     ///
     /// ```
     /// use trueup_core::{revolution_mean::RevolutionMean, units::Rpm, window::Window};
@@ -111,7 +111,7 @@ impl RevolutionMean {
         self.has_seen(window).then(|| window.mean(self.back(0).wrapping_sub(edge), end))
     }
 
-    /// The sum as it was `age` values ago; `age` below `KEPT`.
+    /// Returns the sum as it was `age` values ago; `age` below `KEPT`.
     fn back(&self, age: u32) -> u32 {
         self.at(self.newest.wrapping_sub(age as usize))
     }
@@ -147,7 +147,7 @@ mod tests {
 
     const FULL_SCALE: u32 = 4095 * 1024;
 
-    /// The same mean in `f64`, straight from the definition.
+    /// Returns the same mean in `f64`, straight from the definition.
     fn reference(values: &[u32], window: f64) -> f64 {
         let whole = window.floor() as usize;
         let last = values.len();

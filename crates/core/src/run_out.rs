@@ -82,7 +82,7 @@ impl RunOut {
         }
     }
 
-    /// Whether it is another one than it was.
+    /// Returns whether it is another one than it was.
     #[must_use]
     pub fn is_odd(&self) -> bool {
         self.speed != Rpm(0) && self.odd >= ODD_WINDOWS

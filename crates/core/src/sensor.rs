@@ -30,7 +30,7 @@ pub struct SensorLaw {
 }
 
 impl SensorLaw {
-    /// The elongation at a reading; saturates at ±2.147 m.
+    /// Returns the elongation at a reading; saturates at ±2.147 m.
     ///
     /// Worst error against `f64` with the same constants: 0.5 nm, the rounding of the result.
     ///

@@ -31,7 +31,7 @@ impl IndexSet {
         self.0 &= !Self::bit(number);
     }
 
-    /// The numbers of both.
+    /// Returns the numbers of both.
     #[must_use]
     pub const fn and(self, other: Self) -> Self {
         Self(self.0 | other.0)
@@ -49,13 +49,13 @@ impl IndexSet {
         self.0 & Self::bit(number) != 0
     }
 
-    /// Whether every number of `others` is in it.
+    /// Returns whether every number of `others` is in it.
     #[must_use]
     pub const fn has_all(self, others: Self) -> bool {
         others.0 & !self.0 == 0
     }
 
-    /// Whether a number of `others` is in it.
+    /// Returns whether a number of `others` is in it.
     #[must_use]
     pub const fn has_any(self, others: Self) -> bool {
         others.0 & self.0 != 0

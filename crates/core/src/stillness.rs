@@ -69,13 +69,13 @@ impl Stillness {
         };
     }
 
-    /// Whether it was lively, and gives the same reading now for longer than noise would.
+    /// Returns whether it was lively, and gives the same reading now for longer than noise would.
     #[must_use]
     pub const fn is_still(&self) -> bool {
         self.is_still
     }
 
-    /// Whether it is lively, and has changed of late.
+    /// Returns whether it is lively, and has changed of late.
     #[must_use]
     pub const fn is_going(&self) -> bool {
         self.equal < GOING_READINGS && self.weight >= LIVELY

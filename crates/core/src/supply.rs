@@ -45,7 +45,7 @@ impl Scale {
     /// The supply is as it was.
     pub const ONE: Self = Self(1 << Self::FRACTION_BITS);
 
-    /// A reading as the converter would have given it at the basis; worst error half a unit.
+    /// Returns a reading as the converter would have given it at the basis; worst error half a unit.
     ///
     /// ```
     /// use trueup_core::{supply::Supply, units::{Code, Reading}};
@@ -61,7 +61,7 @@ impl Scale {
         Reading(self.of_raw(reading.0))
     }
 
-    /// The same for any number that is proportional to a code; saturates.
+    /// Returns the same for any number that is proportional to a code; saturates.
     #[must_use]
     pub fn of_raw(self, raw: i32) -> i32 {
         // 32 bits by 32 signed: below 2⁶³.
@@ -110,7 +110,7 @@ impl Supply {
         self.is_off = false;
     }
 
-    /// The level from which readings count.
+    /// Returns the level from which readings count.
     #[must_use]
     pub fn basis(&self) -> Level {
         Level(u16::try_from(self.basis >> Self::LEVEL_SHIFT).unwrap_or(0))
@@ -129,7 +129,7 @@ impl Supply {
         Scale(scale.and_then(|scale| u32::try_from(scale).ok()).unwrap_or(Scale::ONE.0))
     }
 
-    /// Whether it is more than 3 % away from its basis.
+    /// Returns whether it is more than 3 % away from its basis.
     #[must_use]
     pub fn is_off(&self) -> bool {
         self.is_off

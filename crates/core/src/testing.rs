@@ -9,13 +9,13 @@ use crate::{
     units::{Nanometres, Temperature},
 };
 
-/// A linear congruential generator; its high half.
+/// Returns a linear congruential generator; its high half.
 pub fn random(seed: &mut u64) -> u32 {
     *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*seed >> 32) as u32
 }
 
-/// A machine with nothing but limits.
+/// Returns a machine with nothing but limits.
 pub fn plain() -> Calibration<'static> {
     Calibration {
         thermometers: [None; CHANNELS],

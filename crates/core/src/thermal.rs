@@ -80,7 +80,7 @@ impl Piece {
     }
 }
 
-/// The number `index` (0…4) of a piece.
+/// Returns the number `index` (0…4) of a piece.
 fn word(bytes: &[u8; PIECE_SIZE], index: usize) -> i32 {
     bytes.as_chunks::<4>().0.get(index).map_or(0, |four| i32::from_le_bytes(*four))
 }
@@ -101,7 +101,7 @@ pub struct Law<'a> {
 }
 
 impl Law<'_> {
-    /// Whether tanβ is anything but 0 at some temperature.
+    /// Returns whether tanβ is anything but 0 at some temperature.
     #[must_use]
     pub fn depends_on_position(&self) -> bool {
         self.pieces
@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(growth.rounded(), Nanometres(21_000));
     }
 
-    /// A table over 10…40 °C that holds its ends.
+    /// Returns a table over 10…40 °C that holds its ends.
     fn table() -> [[u8; PIECE_SIZE]; 4] {
         let um = |um: f64| Fine((um * 256e3).round() as i32);
         let per_m = |um: f64| Gradient((um * PER_UM_PER_M).round() as i32);

@@ -117,7 +117,7 @@ impl Thermometer {
         }
     }
 
-    /// The temperature that a delivery means.
+    /// Returns the temperature that a delivery means.
     ///
     /// ```
     /// use trueup_core::{thermometer::{Fault, Raw, Thermometer}, units::Temperature};

@@ -17,7 +17,7 @@ use crate::{
 /// No part of an error is clamped by these.
 pub const UNLIMITED: [Fine; 3] = [Fine(i32::MAX); 3];
 
-/// The elongation by a source, before its terms; 0 without one.
+/// Returns the elongation by a source, before its terms; 0 without one.
 #[must_use]
 #[inline]
 pub fn elongation_by(
@@ -33,7 +33,7 @@ pub fn elongation_by(
     }
 }
 
-/// The error at the tool tip on X, Y and Z in 1/256 nm, saturating at ±8.388 mm, and whether the
+/// Returns the error at the tool tip on X, Y and Z in 1/256 nm, saturating at ±8.388 mm, and whether the
 /// elongation along an axis was clamped to ±`largest`.
 ///
 /// `axes` are the sums of the errors of the axes, with their parts clamped already.
@@ -62,7 +62,7 @@ pub fn error_at_tip(
     ([x.0, y.0, z.0], x.1 | y.1 | z.1)
 }
 
-/// The elongation along an axis, clamped, and the error of the axis itself.
+/// Returns the elongation along an axis, clamped, and the error of the axis itself.
 #[inline]
 fn on_axis(along: Fine, own: Fine, largest: Fine) -> (Fine, bool) {
     let (along, clamped) = along.clamped(largest);

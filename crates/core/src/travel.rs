@@ -35,7 +35,7 @@ impl Fraction {
     /// All: approached in the negative direction.
     pub const ONE: Self = Self(1 << Self::FRACTION_BITS);
 
-    /// The value at this fraction of the way from `a` to `b`, exact at both ends.
+    /// Returns the value at this fraction of the way from `a` to `b`, exact at both ends.
     ///
     /// ```
     /// use trueup_core::{travel::Fraction, units::Fine};
@@ -65,7 +65,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// The length, in position units; 0 is allowed.
+    /// Returns the length, in position units; 0 is allowed.
     ///
     /// Costs some hundred instructions: meant for loading, not for every tick. One copy of them in
     /// the board's image is enough.
@@ -92,26 +92,26 @@ impl Interval {
         Self { length, reciprocal }
     }
 
-    /// An interval whose reciprocal was kept with it, [`Self::reciprocal`]; another one gives wrong
+    /// Returns an interval whose reciprocal was kept with it, [`Self::reciprocal`]; another one gives wrong
     /// fractions, but nothing worse.
     #[must_use]
     pub const fn from_parts(length: u32, reciprocal: u32) -> Self {
         Self { length, reciprocal }
     }
 
-    /// The length in position units (10 nm).
+    /// Returns the length in position units (10 nm).
     #[must_use]
     pub const fn length(self) -> u32 {
         self.length
     }
 
-    /// The reciprocal, normalised.
+    /// Returns the reciprocal, normalised.
     #[must_use]
     pub const fn reciprocal(self) -> u32 {
         self.reciprocal
     }
 
-    /// The fraction that `part` is of the length, held to 1; of a length of 0 everything is all.
+    /// Returns the fraction that `part` is of the length, held to 1; of a length of 0 everything is all.
     ///
     /// ```
     /// use trueup_core::travel::{Fraction, Interval};
@@ -204,7 +204,7 @@ impl Travel {
         self.reversal = if at_once { Fraction::ZERO } else { config.ramp.fraction(self.progress) };
     }
 
-    /// Whether `p` is further in the present direction than any position before.
+    /// Returns whether `p` is further in the present direction than any position before.
     fn is_beyond(&self, p: Position) -> bool {
         if self.direction < 0 { p < self.furthest } else { p > self.furthest }
     }
@@ -225,14 +225,14 @@ impl Travel {
         self.reversal
     }
 
-    /// The direction of approach: +1, −1, or 0 while none has been seen.
+    /// Returns the direction of approach: +1, −1, or 0 while none has been seen.
     #[must_use]
     pub const fn direction(&self) -> i8 {
         self.direction
     }
 }
 
-/// The error that backlash of `width` makes: 0 approached in the positive direction, the width in
+/// Returns the error that backlash of `width` makes: 0 approached in the positive direction, the width in
 /// the negative one, in which the table is left behind. A width below 0 is over-compensation.
 ///
 /// ```

@@ -18,14 +18,14 @@ impl Nanometres {
     /// No length.
     pub const ZERO: Self = Self(0);
 
-    /// The nearest representable length: saturates, never wraps.
+    /// Returns the nearest representable length: saturates, never wraps.
     #[must_use]
     #[inline]
     pub const fn saturating(value: i64) -> Self {
         Self(saturated(value))
     }
 
-    /// The length clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    /// Returns the length clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
     ///
     /// Both ends are asked for by one comparison, because nearly every length lies between them.
     #[must_use]
@@ -46,13 +46,13 @@ impl Nanometres {
         Self(if self.0 < 0 { largest.saturating_neg() } else { largest })
     }
 
-    /// The same length in 1/256 nm; saturates at ±8.388 mm.
+    /// Returns the same length in 1/256 nm; saturates at ±8.388 mm.
     #[must_use]
     pub const fn fine(self) -> Fine {
         Fine(self.0.saturating_mul(Fine::PER_NANOMETRE))
     }
 
-    /// The same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
+    /// Returns the same length the other way; −2.147 483 648 m gives +2.147 483 647 m.
     #[must_use]
     pub const fn negated(self) -> Self {
         Self(self.0.saturating_neg())
@@ -72,20 +72,20 @@ impl Fine {
     /// Fine units in one nanometre.
     pub const PER_NANOMETRE: i32 = 1 << Self::FRACTION_BITS;
 
-    /// The nearest representable value: saturates, never wraps.
+    /// Returns the nearest representable value: saturates, never wraps.
     #[must_use]
     #[inline]
     pub const fn saturating(value: i64) -> Self {
         Self(saturated(value))
     }
 
-    /// The sum; saturates.
+    /// Returns the sum; saturates.
     #[must_use]
     pub const fn plus(self, other: Self) -> Self {
         Self(self.0.saturating_add(other.0))
     }
 
-    /// The value clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
+    /// Returns the value clamped to ±`largest`, which counts as 0 below 0; and whether it had to be.
     #[must_use]
     #[inline]
     pub fn clamped(self, largest: Self) -> (Self, bool) {
@@ -93,7 +93,7 @@ impl Fine {
         (Self(value.0), was_clamped)
     }
 
-    /// The nearest nanometre, halves upwards.
+    /// Returns the nearest nanometre, halves upwards.
     #[must_use]
     pub const fn rounded(self) -> Nanometres {
         Nanometres(rounded_shift_word(self.0, Self::FRACTION_BITS))
@@ -170,7 +170,7 @@ impl Millis {
         self.0.wrapping_sub(earlier.0)
     }
 
-    /// The moment `ms` milliseconds later.
+    /// Returns the moment `ms` milliseconds later.
     #[must_use]
     pub fn after(self, ms: u32) -> Self {
         Self(self.0.wrapping_add(ms))

@@ -89,7 +89,7 @@ impl Warmup {
         }
     }
 
-    /// The growth now, at most Smax; positive when the tool grows out of the spindle.
+    /// Returns the growth now, at most Smax; positive when the tool grows out of the spindle.
     #[must_use]
     pub fn elongation(&self, state: &State) -> Fine {
         let heated = product(state.heat.value(), self.full) >> Self::FULL_FRACTION_BITS;
@@ -134,7 +134,7 @@ mod tests {
         MAX_NM * (-k * u).exp_m1() / (-k).exp_m1()
     }
 
-    /// The worst error in nm over two hours from cold at the rated speed.
+    /// Returns the worst error in nm over two hours from cold at the rated speed.
     fn worst_from_cold(lag_s: f64, k: f64) -> f64 {
         let spindle = spindle(lag_s, k);
         let mut state = State::default();

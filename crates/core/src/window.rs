@@ -27,7 +27,7 @@ impl Window {
     /// The fixed window of 200 ms, for a standing spindle or an unknown speed.
     pub const STANDSTILL: Self = Self::of(SLOWEST);
 
-    /// One revolution at this speed; 200 ms where the speed is unknown or below 300 r/min.
+    /// Returns one revolution at this speed; 200 ms where the speed is unknown or below 300 r/min.
     ///
     /// ```
     /// use trueup_core::{units::Rpm, window::Window};
@@ -74,7 +74,7 @@ impl Window {
         self.width
     }
 
-    /// The mean of a stream over it: `inside` is the sum of the last [`Self::whole_samples`] values,
+    /// Returns the mean of a stream over it: `inside` is the sum of the last [`Self::whole_samples`] values,
     /// below 2³², and `end` the value before them, at most 22 bits.
     #[must_use]
     #[inline]
@@ -88,13 +88,13 @@ impl Window {
         rounded_shift_unsigned(area.wrapping_mul(u64::from(self.reciprocal)), 41) as u32
     }
 
-    /// The whole samples in it.
+    /// Returns the whole samples in it.
     #[must_use]
     pub const fn whole_samples(self) -> u32 {
         self.width >> 16
     }
 
-    /// How many samples it takes to cover it.
+    /// Returns how many samples it takes to cover it.
     #[must_use]
     pub const fn samples(self) -> u32 {
         self.width.wrapping_add(0xFFFF) >> 16

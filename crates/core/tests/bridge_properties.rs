@@ -43,7 +43,7 @@ fn command() -> impl Strategy<Value = Command> {
     ]
 }
 
-/// All that a calibration can ask of a CNC.
+/// Returns all that a calibration can ask of a CNC.
 fn greeting() -> impl Strategy<Value = Vec<Command>> {
     (numbers::<3>(), numbers()).prop_map(|(positions, angles)| {
         let positions = LinearAxis::ALL.into_iter().zip(positions).map(|(axis, to)| {

@@ -196,13 +196,13 @@ pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) 
     })
 }
 
-/// How much faster than measured a run is played.
+/// Returns how much faster than measured a run is played.
 fn faster_than(times: &[f64]) -> f64 {
     let whole_s = times.last().unwrap_or(&0.0) - times.first().unwrap_or(&0.0);
     if whole_s > LONGEST_S { (whole_s / LONGEST_S).ceil() } else { 1.0 }
 }
 
-/// Which part each row belongs to, from 0: whole stretches where there is a clock or are many, runs where
+/// Returns which part each row belongs to, from 0: whole stretches where there is a clock or are many, runs where
 /// there are several, single readings else. Rows without a reading go with those before.
 fn parts(run: &RunFile, measured: &[f64]) -> Vec<usize> {
     let rows = run.rows();
@@ -258,7 +258,7 @@ impl Stage<'_> {
     }
 }
 
-/// What the offsets leave; the zero of an axis's measurement is arbitrary and does not count.
+/// Returns what the offsets leave; the zero of an axis's measurement is arbitrary and does not count.
 fn left(rows: &[Row], quantity: Quantity, corrected: impl Fn(&Row) -> f64) -> Result<Left> {
     let mut left: Vec<f64> = rows.iter().map(|row| row.dial_um - corrected(row)).collect();
     if quantity.axis().is_some() {
@@ -269,7 +269,7 @@ fn left(rows: &[Row], quantity: Quantity, corrected: impl Fn(&Row) -> f64) -> Re
     Ok(Left { rms_um: summary.rms, max_um: summary.max_abs })
 }
 
-/// What the rows are drawn over: time, the position that changes most, or what the file says.
+/// Returns what the rows are drawn over: time, the position that changes most, or what the file says.
 fn over(run: &RunFile, measured: &[f64], played: &Played) -> (String, Vec<f64>) {
     let is_drawn = |row: &usize| measured[*row].is_finite() && played.offset_um[*row].is_some();
     let of = |values: &[f64]| (0..run.rows()).filter(is_drawn).map(|row| values[row]).collect();

@@ -230,7 +230,7 @@ fn judged(faults: &[FaultSaid], findings: &[Finding]) -> (Vec<&'static str>, Vec
     (missed, findings.iter().filter(is_false).map(|it| it.cause.clone()).collect())
 }
 
-/// What the faults really do to each row of the first day, and what the new terms say of it.
+/// Returns what the faults really do to each row of the first day, and what the new terms say of it.
 fn envelope(
     hidden: &Hidden,
     run: &RunFile,
@@ -284,7 +284,7 @@ impl Day<'_> {
             .with_context(|| format!("on the {} board", self.boards.name()))
     }
 
-    /// What the bridge corrects less what the file `source` predicts, RMS in µm: the steps of its clock, of its
+    /// Returns what the bridge corrects less what the file `source` predicts, RMS in µm: the steps of its clock, of its
     /// codes and of its arithmetic. The zero of an axis's gauge does not count.
     fn off_the_model(&self, source: &str, run: &RunFile, played: &Played) -> Result<f64> {
         let machine = MachineFile::parse(source, Path::new("machine.toml"))?;
@@ -304,7 +304,7 @@ impl Day<'_> {
         Ok(if apart.is_empty() { 0.0 } else { rms(&apart) })
     }
 
-    /// What the offsets leave of what was measured, NaN in rows without an offset; the zero of an axis's
+    /// Returns what the offsets leave of what was measured, NaN in rows without an offset; the zero of an axis's
     /// gauge does not count.
     fn left(
         &self,
@@ -331,7 +331,7 @@ impl Day<'_> {
         Ok(left)
     }
 
-    /// The bridge's own record with the gauge beside it, as the monitor writes it: the gauge sees what the
+    /// Returns the bridge's own record with the gauge beside it, as the monitor writes it: the gauge sees what the
     /// offsets leave.
     fn recorded(
         &self,

@@ -20,7 +20,7 @@ const MOST_C_PER_MIN: f64 = thermal_rate::MAX_TENTHS as f64 / 10.0;
 /// The board has so many temperature channels.
 const CHANNELS: i64 = 8;
 
-/// The machine file `source` with all inputs that the board needs to be played `run`: a sensor where
+/// Returns the machine file `source` with all inputs that the board needs to be played `run`: a sensor where
 /// there is none, and a free channel for each thermometer that has none. With a sentence on each.
 ///
 /// # Errors
@@ -62,7 +62,7 @@ fn channel(item: &Item) -> Option<i64> {
     item.as_table_like()?.get("channel")?.as_integer()
 }
 
-/// The machine of `source` on the bench, where time passes `faster` times as fast as on the board.
+/// Returns the machine of `source` on the bench, where time passes `faster` times as fast as on the board.
 ///
 /// # Errors
 /// `source` is no machine file.

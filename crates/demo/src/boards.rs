@@ -70,7 +70,7 @@ pub enum Boards {
 }
 
 impl Boards {
-    /// What they are called in `summary.json`.
+    /// Returns what they are called in `summary.json`.
     #[must_use]
     pub fn name(&self) -> &'static str {
         match self {
@@ -79,7 +79,7 @@ impl Boards {
         }
     }
 
-    /// The image of the emulated board.
+    /// Returns the image of the emulated board.
     #[must_use]
     pub fn image(&self) -> Option<&Path> {
         match self {

@@ -33,7 +33,7 @@ impl Campaign {
         Ok(line)
     }
 
-    /// The figures.
+    /// Returns the figures.
     #[must_use]
     pub fn text(&self) -> String {
         let count =
@@ -57,13 +57,13 @@ impl Campaign {
 }
 
 impl Outcome {
-    /// Whether the tool has got what was promised.
+    /// Returns whether the tool has got what was promised.
     #[must_use]
     pub fn is_as_promised(&self) -> bool {
         (self.reduction - self.promised_reduction).abs() <= PROMISE
     }
 
-    /// A line for a table of many.
+    /// Returns a line for a table of many.
     #[must_use]
     pub fn line(&self) -> String {
         let faults: Vec<String> =

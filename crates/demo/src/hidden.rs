@@ -66,7 +66,7 @@ pub struct Hidden {
     pub gap: f64,
 }
 
-/// The causes that name `fault`: one or two, from the table of `docs/physical-faults.md`.
+/// Returns the causes that name `fault`: one or two, from the table of `docs/physical-faults.md`.
 #[must_use]
 pub fn causes(fault: Fault) -> Vec<&'static str> {
     const DOCUMENT: &str = include_str!("../../../docs/physical-faults.md");
@@ -77,7 +77,7 @@ pub fn causes(fault: Fault) -> Vec<&'static str> {
 }
 
 impl Hidden {
-    /// The machine of `seed`.
+    /// Returns the machine of `seed`.
     ///
     /// # Errors
     /// The faults of no drawn machine can be separated.
@@ -91,7 +91,7 @@ impl Hidden {
         Self::draw_of(seed, "hidden fault", machine, None)
     }
 
-    /// The machine of `seed` that changes its tools, of which each grows with the speed in its own way; another
+    /// Returns the machine of `seed` that changes its tools, of which each grows with the speed in its own way; another
     /// fault may be hidden together with that.
     ///
     /// # Errors
@@ -142,7 +142,7 @@ impl Hidden {
         anyhow::bail!("seed {seed}: none of {TRIES} machines has faults that can be told apart")
     }
 
-    /// All faults with their sizes.
+    /// Returns all faults with their sizes.
     #[must_use]
     pub fn sizes(&self) -> Vec<(Fault, f64)> {
         self.faults.iter().map(|drawn| (drawn.fault, drawn.size)).collect()
@@ -180,7 +180,7 @@ impl Hidden {
         with_columns(run, &[(self.measured(), nothing)])
     }
 
-    /// The rows of a day, the gauge read in all of them.
+    /// Returns the rows of a day, the gauge read in all of them.
     fn monitored(&self, scenario: &Scenario, day: u64) -> Result<RunFile> {
         let mut scenario = scenario.clone();
         scenario.interval_s = MONITOR_S;
@@ -265,7 +265,7 @@ impl Hidden {
         Ok(left)
     }
 
-    /// The column of the gauge.
+    /// Returns the column of the gauge.
     #[must_use]
     pub fn measured(&self) -> String {
         format!("measured_{}_um", self.plant.quantity)
@@ -279,7 +279,7 @@ impl Hidden {
         Ok(predictor.rows().map(|row| row.model.all()[place]).collect())
     }
 
-    /// How far the right answer is from others.
+    /// Returns how far the right answer is from others.
     fn gaps(&self) -> Result<Gaps> {
         let run = self.record(0, false)?;
         let record = Record {
@@ -294,7 +294,7 @@ impl Hidden {
     }
 }
 
-/// The faults of the machine itself: the gauge is none of its parts.
+/// Returns the faults of the machine itself: the gauge is none of its parts.
 fn of_machine(kind: Kind) -> Vec<Fault> {
     kind.faults().iter().copied().filter(|fault| *fault != Fault::GaugeDrift).collect()
 }

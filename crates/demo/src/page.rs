@@ -10,7 +10,7 @@ const CLEAR: f64 = 6.0;
 /// A table shows no more rows than that.
 const MOST_ROWS: usize = 40;
 
-/// The page of one act or both.
+/// Returns the page of one act or both.
 #[must_use]
 pub fn page(one: &ActOne, two: Option<&ActTwo>) -> String {
     let mut page =
@@ -22,7 +22,7 @@ pub fn page(one: &ActOne, two: Option<&ActTwo>) -> String {
     page.html()
 }
 
-/// The picture of act two alone, for a page of text: the error at the tool on another day.
+/// Returns the picture of act two alone, for a page of text: the error at the tool on another day.
 #[must_use]
 pub fn picture_of_act_two(two: &ActTwo) -> String {
     second_day(two).standalone()

@@ -54,7 +54,7 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Each row until the filters have come to rest.
+    /// Returns each row until the filters have come to rest.
     #[must_use]
     pub fn still(rows: usize) -> Self {
         Self { hold_s: vec![STILL_S; rows], has_run_out: true, seed: 2009, counter: 0 }
@@ -95,7 +95,7 @@ pub struct Played {
 }
 
 impl Played {
-    /// What the offsets say of `quantity` in each row, in µm: they are its opposite. NaN where missing.
+    /// Returns what the offsets say of `quantity` in each row, in µm: they are its opposite. NaN where missing.
     #[must_use]
     pub fn corrected_um(&self, quantity: Quantity, machine: &Machine) -> Vec<f64> {
         let of = |offset: &Option<[f64; 3]>| {
@@ -165,7 +165,7 @@ pub fn play(
     Ok(played)
 }
 
-/// The run without its clock.
+/// Returns the run without its clock.
 fn untimed(run: &RunFile) -> Result<RunFile> {
     let columns = run.columns().iter().filter(|column| column.name == "time_s");
     if columns.count() == 0 {

@@ -175,7 +175,7 @@ impl Answers {
         }
     }
 
-    /// How many constants these laws have.
+    /// Returns how many constants these laws have.
     fn constants(&self, set: &[usize]) -> usize {
         set.iter().map(|law| self.laws[*law].1).sum()
     }
@@ -293,7 +293,7 @@ fn axis_laws(record: &Record<'_>) -> Vec<Law> {
     laws
 }
 
-/// A column for each tool: `values` while it is in the spindle, else 0.
+/// Returns a column for each tool: `values` while it is in the spindle, else 0.
 fn by_tool(tools: &[f64], values: &[f64]) -> Vec<Vec<f64>> {
     let mut numbers = tools.to_vec();
     numbers.sort_by(f64::total_cmp);
@@ -345,7 +345,7 @@ mod tests {
     use super::*;
     use crate::table::parsed;
 
-    /// A load beside a temperature that goes with it, or does not.
+    /// Returns a load beside a temperature that goes with it, or does not.
     fn gap(is_told: bool, noise_um: f64) -> f64 {
         let mut csv = String::from("time_s,load_n,spindle_rpm,temp_nose_c\n");
         for row in 0..200 {

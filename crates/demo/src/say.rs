@@ -14,7 +14,7 @@ const MOST_ROWS: usize = 20;
 /// Rivals that are named beside a finding.
 const RIVALS: usize = 3;
 
-/// A finding's name, with the column that it hangs on.
+/// Returns a finding's name, with the column that it hangs on.
 #[must_use]
 pub fn name(finding: &Finding) -> String {
     match &finding.column {
@@ -36,7 +36,7 @@ pub fn rivals(finding: &Finding) -> Option<String> {
     (!named.is_empty()).then(|| named.join(", "))
 }
 
-/// What is wrong, and why not something else: from the findings alone.
+/// Returns what is wrong, and why not something else: from the findings alone.
 #[must_use]
 pub fn findings(diagnosis: &Diagnosis) -> String {
     let report = &diagnosis.report;
@@ -152,7 +152,7 @@ impl ActTwo {
 }
 
 impl Outcome {
-    /// Whether it was right, and what it was worth, in sentences.
+    /// Returns whether it was right, and what it was worth, in sentences.
     #[must_use]
     pub fn judgement(&self) -> String {
         let right = match (self.all_right, self.wrong.is_empty()) {

@@ -52,7 +52,7 @@ pub struct Calibrated {
 }
 
 impl<'a> Summary<'a> {
-    /// The figures of act one and of act two, played on a board of this name.
+    /// Returns the figures of act one and of act two, played on a board of this name.
     #[must_use]
     pub fn of(
         one: &'a ActOne,

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use anyhow::Result;
 use trueup_machine::RunFile;
 
-/// The columns of `run`, and `more` beside or in the place of them, as a run file.
+/// Returns the columns of `run`, and `more` beside or in the place of them, as a run file.
 ///
 /// # Errors
 /// None that is known: what was read can be read again.
@@ -46,7 +46,7 @@ pub fn without_readings(
     with_columns(run, &[(measured.into(), kept)])
 }
 
-/// A run file from text.
+/// Returns a run file from text.
 ///
 /// # Errors
 /// It is none.

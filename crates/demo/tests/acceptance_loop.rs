@@ -26,7 +26,7 @@ const FASTER: f64 = 100.0;
 /// Hours of a warm-up, from cold.
 const HOURS: f64 = 5.0;
 
-/// A spindle that warms up at one speed, and the constants that its file should have.
+/// Returns a spindle that warms up at one speed, and the constants that its file should have.
 fn spindle() -> (Scenario, String) {
     let plant = Plant::draw(Kind::WarmupSpindle, 5);
     let mut scenario = plant.day(0, &[]);
@@ -37,7 +37,7 @@ fn spindle() -> (Scenario, String) {
     (scenario, plant.machine)
 }
 
-/// The file with growth and time times these.
+/// Returns the file with growth and time times these.
 fn wrong(source: &str, growth: f64, time: f64) -> String {
     let changed = source.lines().map(|line| match line.split_once(" = ") {
         Some((key, value)) if ["max_um", "warm_s"].contains(&key) => {
@@ -54,7 +54,7 @@ fn recorded(scenario: &Scenario, seed: u64) -> RunFile {
     parsed(&simulate(scenario, seed, || {}).to_csv(), "run.csv").expect("a run file")
 }
 
-/// What the gauge shows when the bridge runs with the file `source`.
+/// Returns what the gauge shows when the bridge runs with the file `source`.
 fn with_bridge(source: &str, run: &RunFile) -> RunFile {
     let (source, _) = bench::connected(source, run).expect("a machine file");
     let machine = bench::machine(&source, FASTER).expect("a machine file");
@@ -71,7 +71,7 @@ fn with_bridge(source: &str, run: &RunFile) -> RunFile {
     with_columns(run, &[(MEASURED.into(), seen)]).expect("a run file")
 }
 
-/// The acceptance of `source`, on days of its own.
+/// Returns the acceptance of `source`, on days of its own.
 fn turn(scenario: &Scenario, source: &str, number: u64) -> Acceptance {
     let off = recorded(scenario, 2 * number);
     let on = with_bridge(source, &recorded(scenario, 2 * number + 1));

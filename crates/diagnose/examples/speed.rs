@@ -46,7 +46,7 @@ impl Drawn {
     }
 }
 
-/// A run of so many rows, the same record whether it was taken often or seldom.
+/// Returns a run of so many rows, the same record whether it was taken often or seldom.
 fn write(path: &Path, kind: &str, rows: usize) -> std::io::Result<()> {
     let (is_axis, has_more) = (kind == "axis", kind == "five-causes");
     let mut out = BufWriter::new(fs::File::create(path)?);
@@ -104,7 +104,7 @@ fn write(path: &Path, kind: &str, rows: usize) -> std::io::Result<()> {
     out.flush()
 }
 
-/// The most memory that this process has held, in MB, where the system says.
+/// Returns the most memory that this process has held, in MB, where the system says.
 fn peak_mb() -> f64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
@@ -164,7 +164,7 @@ fn beside(other: &Path) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A file that nobody else writes.
+/// Returns a file that nobody else writes.
 fn scratch() -> PathBuf {
     env::temp_dir().join(format!("trueup-speed-{}.csv", std::process::id()))
 }

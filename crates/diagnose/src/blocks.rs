@@ -59,12 +59,12 @@ const FEWEST_RUNS: usize = 3;
 const PLAIN: usize = 5;
 
 impl Folds {
-    /// The folds; blocks for intervals are at least five correlation times of `memory` steps long.
+    /// Returns the folds; blocks for intervals are at least five correlation times of `memory` steps long.
     pub(crate) fn new(problem: &Problem, memory: f64) -> Self {
         Self::with_runs_from(problem, memory, FEWEST_RUNS)
     }
 
-    /// The folds of a promise: two runs differ as two days do, so that each is left out as a whole.
+    /// Returns the folds of a promise: two runs differ as two days do, so that each is left out as a whole.
     pub(crate) fn of_promise(problem: &Problem) -> Self {
         Self::with_runs_from(problem, 0.0, 2)
     }
@@ -94,7 +94,7 @@ impl Folds {
         Self { of_group, otherwise, count: count_folds, unit, blocks }
     }
 
-    /// Whether each group is in the second half: of the files or runs where they are left out, else of the
+    /// Returns whether each group is in the second half: of the files or runs where they are left out, else of the
     /// record.
     pub(crate) fn second_half(&self) -> Vec<bool> {
         let groups = self.of_group.len();
@@ -105,18 +105,18 @@ impl Folds {
         (0..groups).map(is_second).collect()
     }
 
-    /// Whether each fold is a record of its own.
+    /// Returns whether each fold is a record of its own.
     pub(crate) fn are_records(&self) -> bool {
         matches!(self.unit, Unit::Files | Unit::Runs)
     }
 
-    /// What `model`, fitted to the others, leaves in each group, each fold left out in turn.
+    /// Returns what `model`, fitted to the others, leaves in each group, each fold left out in turn.
     pub(crate) fn left_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
         let first = left_out_of(problem, model, &self.of_group, self.count);
         self.averaged(problem, model, &first.0)
     }
 
-    /// The squares that are left in each group, on the average of both ways to cut a record; with the sign
+    /// Returns the squares that are left in each group, on the average of both ways to cut a record; with the sign
     /// of the first.
     fn averaged(&self, problem: &Problem, model: &Model, first: &[f64]) -> Vec<f64> {
         let Some((of_group, count)) = &self.otherwise else { return first.to_vec() };
@@ -125,8 +125,8 @@ impl Folds {
         first.iter().zip(&second.0).map(mean).collect()
     }
 
-    /// What `model` leaves in each group of the first of both ways to cut a record, with its sign; `run`: as it is run
-    /// once it is fitted.
+    /// Returns what `model` leaves in each group of the first of both ways to cut a record, with its sign; `run`: as it
+    /// is run once it is fitted.
     pub(crate) fn left_out_signed(
         &self,
         problem: &Problem,
@@ -145,7 +145,7 @@ impl Folds {
         self.of_group.iter().enumerate().map(|(group, &fold)| each[fold][group]).collect()
     }
 
-    /// The part of each group, from 0: the folds; of single readings neighbours are put together.
+    /// Returns the part of each group, from 0: the folds; of single readings neighbours are put together.
     pub(crate) fn parts(&self) -> Vec<usize> {
         let groups = self.of_group.len();
         if self.unit == Unit::Readings {
@@ -154,7 +154,7 @@ impl Folds {
         self.of_group.clone()
     }
 
-    /// The same, with the model that was fitted without each fold.
+    /// Returns the same, with the model that was fitted without each fold.
     pub(crate) fn left_out_with_models(
         &self,
         problem: &Problem,
@@ -164,7 +164,7 @@ impl Folds {
         (self.averaged(problem, model, &first.0), first.1.clone())
     }
 
-    /// What `after` leaves less of the squares than `before` in the last stretch of a record; none where
+    /// Returns what `after` leaves less of the squares than `before` in the last stretch of a record; none where
     /// something else is left out.
     pub(crate) fn gain_at_the_end(&self, before: &[f64], after: &[f64]) -> Option<f64> {
         let rows = self.of_group.iter().zip(before).zip(after);
@@ -173,12 +173,12 @@ impl Folds {
         (self.unit == Unit::Stretches).then_some(gain)
     }
 
-    /// What `after` leaves less of the squares than `before`, both in groups, block by block.
+    /// Returns what `after` leaves less of the squares than `before`, both in groups, block by block.
     pub(crate) fn paired(&self, before: &[f64], after: &[f64]) -> Paired {
         self.blocks.paired(before, after)
     }
 
-    /// The reduction of the RMS from `before` to `after`, both in groups.
+    /// Returns the reduction of the RMS from `before` to `after`, both in groups.
     pub(crate) fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
         self.blocks.reduction(before, after)
     }
@@ -213,7 +213,7 @@ fn eventful(measured: &[f64], count: usize) -> Vec<usize> {
         .collect()
 }
 
-/// What `model`, fitted to the others, leaves in each group, each fold left out in turn; with the models.
+/// Returns what `model`, fitted to the others, leaves in each group, each fold left out in turn; with the models.
 fn left_out_of(
     problem: &Problem,
     model: &Model,
@@ -259,7 +259,7 @@ fn begun_as_recorded(problem: &Problem, model: &Model, start: &Part) -> (Problem
     (problem.measuring(measured), rest)
 }
 
-/// The runs numbered from 0 in the order in which they come, by group.
+/// Returns the runs numbered from 0 in the order in which they come, by group.
 fn numbered(first_row: &[usize], run: Option<&[f64]>) -> Vec<usize> {
     let Some(run) = run else { return Vec::new() };
     let mut known: Vec<u64> = Vec::new();

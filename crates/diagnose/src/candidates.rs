@@ -75,7 +75,7 @@ fn proposed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate
     all
 }
 
-/// Whether the machine file has a cause already, so that it can only be one that has changed: of the
+/// Returns whether the machine file has a cause already, so that it can only be one that has changed: of the
 /// same name on the same column; of waves one whose period the travel does not show apart.
 fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
     let same = |stated: &&Stated| {
@@ -102,12 +102,12 @@ fn is_stated(problem: &Problem, effect: &Effect, starts: &[Vec<f64>]) -> bool {
     })
 }
 
-/// Whether the data have the column that a cause hangs on, if it hangs on one.
+/// Returns whether the data have the column that a cause hangs on, if it hangs on one.
 fn can_change(problem: &Problem, effect: &Effect) -> bool {
     effect.column().is_none_or(|column| varying(&problem.data, &column))
 }
 
-/// The temperatures that the model goes by already.
+/// Returns the temperatures that the model goes by already.
 pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
     let spindle = &data.machine.spindle;
     let mut used = Vec::new();
@@ -133,7 +133,7 @@ impl Seen<'_> {
         &self.problem.data
     }
 
-    /// What a wave may go with, in groups.
+    /// Returns what a wave may go with, in groups.
     fn reading(&self, over: Reading<'_>) -> Option<Vec<f64>> {
         let data = self.data();
         let values = match over {

@@ -13,7 +13,7 @@ use crate::{
     kind::{Curve, Kind},
 };
 
-/// What a part with these nonlinear values adds at each amplitude of 1, to a prediction `p` so far: of
+/// Returns what a part with these nonlinear values adds at each amplitude of 1, to a prediction `p` so far: of
 /// a cause by its page's law.
 pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> Vec<Vec<f64>> {
     match kind {
@@ -24,7 +24,7 @@ pub(crate) fn basis(kind: &Kind, nonlinear: &[f64], data: &Data, p: &[f64]) -> V
     }
 }
 
-/// What a part with these values adds to each row, to a prediction `p` so far.
+/// Returns what a part with these values adds to each row, to a prediction `p` so far.
 pub(crate) fn sum(kind: &Kind, values: &[f64], data: &Data, p: &[f64]) -> Vec<f64> {
     match kind {
         Kind::Cause(effect) | Kind::Stated(Stated { effect, .. }) => {
@@ -95,7 +95,7 @@ impl Columns for Table<'_> {
     }
 }
 
-/// The column itself, or filled where a value is missing.
+/// Returns the column itself, or filled where a value is missing.
 fn without_gaps(values: &[f64]) -> Cow<'_, [f64]> {
     if values.iter().any(|value| value.is_nan()) {
         Cow::Owned(filled(values))
@@ -108,7 +108,7 @@ fn position(data: &Data, axis: LinearAxis) -> Option<&[f64]> {
     data.position_mm[axis.index()].as_deref()
 }
 
-/// What a curve adds at each of its knots.
+/// Returns what a curve adds at each of its knots.
 fn over(curve: &Curve, data: &Data) -> Vec<Vec<f64>> {
     let knots = curve.knots.len() * if curve.by_direction { 2 } else { 1 };
     let mut columns = vec![vec![0.0; data.rows]; knots];
@@ -136,7 +136,7 @@ fn at_rows(curve: &Curve, data: &Data, mut add: impl FnMut(usize, usize, f64)) {
 /// What the model says of the elongation, as a column.
 pub(crate) const SAID: &str = "what the model says";
 
-/// A column by its name in the file, or one of those that follow from others.
+/// Returns a column by its name in the file, or one of those that follow from others.
 pub(crate) fn named<'d>(data: &'d Data, name: &str) -> Option<&'d [f64]> {
     let position = |n: usize| data.position_mm[n].as_deref();
     match name {

@@ -141,7 +141,7 @@ fn answered(data: &Arc<Data>, breadth: Breadth, progress: &mut Progress<'_>) -> 
     Answered { problem, found, aside, judged }
 }
 
-/// What the answer predicts of each row, with curves over what it leaves and without: a law that no cause
+/// Returns what the answer predicts of each row, with curves over what it leaves and without: a law that no cause
 /// has is no gross error.
 fn predictions(data: &Data, problem: &Problem, found: &Found) -> [Vec<f64>; 2] {
     let rest = with_curves(problem, &found.fitted, &structure(problem));
@@ -156,7 +156,7 @@ fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
     alone.iter().zip(among_repeats).map(|(alone, there)| *alone || there).collect()
 }
 
-/// The search on the rows that count and are not set aside: on all of them, on means of neighbours, or
+/// Returns the search on the rows that count and are not set aside: on all of them, on means of neighbours, or
 /// on as many as tell enough. The last fit is to all of them.
 fn searched(
     data: &Arc<Data>,

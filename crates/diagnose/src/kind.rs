@@ -55,7 +55,7 @@ impl Part {
 }
 
 impl Kind {
-    /// The cause, neutral or as the machine file says, if it is one.
+    /// Returns the cause, neutral or as the machine file says, if it is one.
     pub(crate) fn cause(&self) -> Option<&Effect> {
         match self {
             Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => Some(effect),
@@ -63,12 +63,12 @@ impl Kind {
         }
     }
 
-    /// The name of the cause.
+    /// Returns the name of the cause.
     pub(crate) fn name(&self) -> &'static str {
         self.cause().map_or("structure", Effect::name)
     }
 
-    /// The column that the cause hangs on, where there is a choice.
+    /// Returns the column that the cause hangs on, where there is a choice.
     pub(crate) fn column(&self) -> Option<String> {
         match self {
             Self::Curve(curve) => Some(curve.column.clone()),
@@ -76,7 +76,7 @@ impl Kind {
         }
     }
 
-    /// Whether a board may correct it: not what only happened once, nor what is not the machine's.
+    /// Returns whether a board may correct it: not what only happened once, nor what is not the machine's.
     pub(crate) fn is_compensated(&self) -> bool {
         self.cause().is_none_or(|effect| effect.is_compensated())
     }
@@ -86,22 +86,22 @@ impl Kind {
         self.cause().map_or(&[], |effect| effect.nonlinear())
     }
 
-    /// Whether the value of this number is varied by ratios.
+    /// Returns whether the value of this number is varied by ratios.
     pub(crate) fn is_logarithmic(&self, number: usize) -> bool {
         self.nonlinear().get(number).is_some_and(|value| value.is_logarithmic())
     }
 
-    /// Whether its first value is a time constant.
+    /// Returns whether its first value is a time constant.
     pub(crate) fn has_time_constant(&self) -> bool {
         self.cause().is_some_and(Effect::has_time_constant)
     }
 
-    /// Whether it settles from the start of the record on, whatever is measured beside it.
+    /// Returns whether it settles from the start of the record on, whatever is measured beside it.
     pub(crate) fn is_from_the_start(&self) -> bool {
         self.has_time_constant() && self.cause().is_some_and(Effect::is_in_time)
     }
 
-    /// Whether it goes with something that was measured or commanded beside the quantity: not with time
+    /// Returns whether it goes with something that was measured or commanded beside the quantity: not with time
     /// alone, nor bent with the prediction, nor a constant.
     pub(crate) fn has_own_input(&self) -> bool {
         self.cause().is_none_or(|effect| {
@@ -110,12 +110,12 @@ impl Kind {
         })
     }
 
-    /// Whether its first value is a time that is searched, not fitted.
+    /// Returns whether its first value is a time that is searched, not fitted.
     pub(crate) fn has_instant(&self) -> bool {
         self.cause().is_some_and(Effect::has_instant)
     }
 
-    /// How many amplitudes it has.
+    /// Returns how many amplitudes it has.
     pub(crate) fn amplitudes(&self) -> usize {
         match self {
             Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => effect.amplitudes(),
@@ -123,7 +123,7 @@ impl Kind {
         }
     }
 
-    /// How many neighbours are in each of the lists that its values are, if they are.
+    /// Returns how many neighbours are in each of the lists that its values are, if they are.
     pub(crate) fn list_length(&self) -> Option<usize> {
         match self {
             Self::Cause(effect) | Self::Stated(Stated { effect, .. }) => effect.list_length(),
@@ -131,7 +131,7 @@ impl Kind {
         }
     }
 
-    /// What it counts for where simplicity counts.
+    /// Returns what it counts for where simplicity counts.
     pub(crate) fn degrees(&self) -> usize {
         self.nonlinear().len() + self.amplitudes()
     }
@@ -146,7 +146,7 @@ impl Kind {
         }
     }
 
-    /// The term of the machine file that it is, if it is one.
+    /// Returns the term of the machine file that it is, if it is one.
     pub(crate) fn stated(&self) -> Option<&Stated> {
         match self {
             Self::Stated(stated) => Some(stated),
@@ -154,7 +154,7 @@ impl Kind {
         }
     }
 
-    /// Whether its reference (a temperature, a start) is its own, and with it a constant. That of a
+    /// Returns whether its reference (a temperature, a start) is its own, and with it a constant. That of a
     /// term of the machine file is the file's.
     pub(crate) fn has_reference(&self) -> bool {
         self.stated().is_none() && self.cause().is_some_and(|effect| effect.has_reference())
@@ -165,27 +165,27 @@ impl Kind {
         self.cause().map_or(Stage::Sum, |effect| effect.stage())
     }
 
-    /// Whether it may change the constants of the machine's own model, or the source's law.
+    /// Returns whether it may change the constants of the machine's own model, or the source's law.
     pub(crate) fn corrects(&self) -> bool {
         matches!(self.stage(), Stage::Constant | Stage::Falling)
     }
 
-    /// Whether it multiplies the prediction.
+    /// Returns whether it multiplies the prediction.
     pub(crate) fn is_factor(&self) -> bool {
         self.stage() == Stage::Factor
     }
 
-    /// Whether it only adds its columns, whatever the rest of the model is.
+    /// Returns whether it only adds its columns, whatever the rest of the model is.
     pub(crate) fn is_added(&self) -> bool {
         self.stage() == Stage::Sum
     }
 
-    /// Whether it moves all of the model in time.
+    /// Returns whether it moves all of the model in time.
     pub(crate) fn is_shift(&self) -> bool {
         self.stage() == Stage::Shift
     }
 
-    /// Whether it changes the elongation, which then goes along the tool; else the axis.
+    /// Returns whether it changes the elongation, which then goes along the tool; else the axis.
     pub(crate) fn is_of_elongation(&self, data: &Data) -> bool {
         if data.quantity == Quantity::Elongation {
             return true;
@@ -201,12 +201,12 @@ impl Kind {
         }
     }
 
-    /// The path by which it brings heat.
+    /// Returns the path by which it brings heat.
     pub(crate) fn heat_path(&self) -> Option<HeatPath<'_>> {
         self.cause().and_then(|effect| effect.heat_path())
     }
 
-    /// The same heat by a path of its own, neutral.
+    /// Returns the same heat by a path of its own, neutral.
     pub(crate) fn as_own_path(&self, has_lag: bool) -> Option<Self> {
         let Self::Cause(effect) = self else { return None };
         let mut effect = effect.clone();
@@ -216,38 +216,38 @@ impl Kind {
         Self::of_form(None, &OnBoard::Heat(heat.clone()))
     }
 
-    /// The table of the own axis that it is, and the machine file has not.
+    /// Returns the table of the own axis that it is, and the machine file has not.
     pub(crate) fn table(&self) -> Option<&Pitch> {
         let Self::Cause(effect) = self else { return None };
         effect.table()
     }
 
-    /// Whether it is a wave of a period that is fitted.
+    /// Returns whether it is a wave of a period that is fitted.
     pub(crate) fn is_wave(&self) -> bool {
         self.cause().is_some_and(Effect::is_wave)
     }
 
-    /// Whether it is a wave, over the position or the time.
+    /// Returns whether it is a wave, over the position or the time.
     pub(crate) fn has_phase(&self) -> bool {
         self.cause().is_some_and(Effect::has_phase)
     }
 
-    /// Whether it comes and goes with the clock: beside a law that is missing, it follows whatever drives that.
+    /// Returns whether it comes and goes with the clock: beside a law that is missing, it follows whatever drives that.
     pub(crate) fn is_by_the_clock(&self) -> bool {
         matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
     }
 
-    /// Whether it takes two recorded inputs together.
+    /// Returns whether it takes two recorded inputs together.
     pub(crate) fn is_composed(&self) -> bool {
         self.cause().is_some_and(Effect::is_composed)
     }
 
-    /// Whether it is the error of the reference instrument.
+    /// Returns whether it is the error of the reference instrument.
     pub(crate) fn is_of_instrument(&self) -> bool {
         self.cause().is_some_and(|effect| effect.is_of_instrument())
     }
 
-    /// The cause that a form stands for, of an axis or (none) the elongation.
+    /// Returns the cause that a form stands for, of an axis or (none) the elongation.
     pub(crate) fn of_form(
         own: Option<trueup_machine::file::LinearAxis>,
         form: &OnBoard,
@@ -264,12 +264,12 @@ impl Kind {
         Self::of_form(None, &OnBoard::Heat(heat)).expect("a form of the board")
     }
 
-    /// The measurement that would settle what is open about it, against a rival where there is one.
+    /// Returns the measurement that would settle what is open about it, against a rival where there is one.
     pub(crate) fn next_test(&self, rival: Option<&str>) -> &'static str {
         self.cause().map_or("Vary this column alone.", |effect| effect.next_test(rival))
     }
 
-    /// A measurement with what at the machine may be repaired in place of being corrected.
+    /// Returns a measurement with what at the machine may be repaired in place of being corrected.
     pub(crate) fn with_repair(&self, next_test: String) -> String {
         match self.cause().and_then(|effect| effect.repair()) {
             Some(repair) => format!("{next_test} {repair}"),
@@ -279,17 +279,17 @@ impl Kind {
 }
 
 impl Part {
-    /// A term of the machine file as it stands there.
+    /// Returns a term of the machine file as it stands there.
     pub(crate) fn stated(stated: &Stated) -> Self {
         Self { values: stated.effect.values(), kind: Kind::Stated(stated.clone()) }
     }
 
-    /// The cause with its values.
+    /// Returns the cause with its values.
     pub(crate) fn cause(&self) -> Option<Effect> {
         self.kind.cause().map(|effect| effect.with(&self.values))
     }
 
-    /// The cause in a sentence.
+    /// Returns the cause in a sentence.
     pub(crate) fn sentence(&self) -> String {
         match &self.kind {
             Kind::Cause(effect) | Kind::Stated(Stated { effect, .. }) => {
@@ -300,7 +300,7 @@ impl Part {
     }
 }
 
-/// The thermal section of the quantity's own axis.
+/// Returns the thermal section of the quantity's own axis.
 pub(crate) fn own_thermal(data: &Data) -> Option<&Thermal> {
     data.quantity.axis().and_then(|axis| data.machine.axes[axis.index()].thermal.as_ref())
 }

@@ -34,14 +34,14 @@ pub(crate) struct Growth<'l> {
 }
 
 impl Growth<'_> {
-    /// The temperature behind the lags, in each row.
+    /// Returns the temperature behind the lags, in each row.
     pub(crate) fn behind_c(&self, data: &Data) -> Arc<Vec<f64>> {
         data.followed(&self.model.sensor, self.late, self.lags_s)
     }
 }
 
 impl Laws {
-    /// The laws of the machine file with what `parts` correct.
+    /// Returns the laws of the machine file with what `parts` correct.
     pub(crate) fn corrected(data: &Data, parts: &[Part]) -> Self {
         let mut laws = Self::default();
         for part in parts.iter().filter(|part| part.kind.corrects()) {
@@ -71,7 +71,7 @@ impl Laws {
         laws
     }
 
-    /// The laws of the machine file.
+    /// Returns the laws of the machine file.
     fn own(data: &Data) -> Self {
         let spindle = &data.machine.spindle;
         let is_thermal = spindle.source == Some(ElongationSource::Temperature);
@@ -82,7 +82,7 @@ impl Laws {
         }
     }
 
-    /// The columns of their thermometers.
+    /// Returns the columns of their thermometers.
     fn columns(&self) -> impl Iterator<Item = &str> {
         let of_spindle = self.spindle.as_ref().and_then(|it| it.temperature.as_ref());
         let columns = [self.thermal.as_ref().map(|it| &it.sensor), of_spindle.map(|it| &it.sensor)];
@@ -136,7 +136,7 @@ impl Laws {
         changed
     }
 
-    /// The time constant with which the model's own heat rises.
+    /// Returns the time constant with which the model's own heat rises.
     pub(crate) fn rise_s(&self, data: &Data) -> Option<f64> {
         let spindle = self.spindle.as_ref().unwrap_or(&data.machine.spindle);
         let rise_s = match (self.thermal.as_ref().or(own_thermal(data)), spindle.source) {
@@ -152,7 +152,7 @@ impl Laws {
         rise_s.filter(|rise_s| *rise_s > 0.0)
     }
 
-    /// The law of the elongation, where it is corrected and the axis's is not, and it is a factor times a
+    /// Returns the law of the elongation, where it is corrected and the axis's is not, and it is a factor times a
     /// temperature.
     pub(crate) fn growth(&self, data: &Data) -> Option<Growth<'_>> {
         let spindle = self.spindle.as_ref().filter(|_| self.thermal.is_none())?;
@@ -167,7 +167,7 @@ impl Laws {
         Some(Growth { model, late: self.spindle_late, lags_s: [model.lag_s, fall_s] })
     }
 
-    /// The elongation of each row.
+    /// Returns the elongation of each row.
     pub(crate) fn elongation<'d>(&self, data: &'d Data) -> Cow<'d, [f64]> {
         let Some(spindle) = &self.spindle else { return Cow::Borrowed(&data.law) };
         if let Some(growth) = self.growth_of(spindle, data) {
@@ -198,7 +198,7 @@ impl Laws {
         }
     }
 
-    /// The axis's error of each row.
+    /// Returns the axis's error of each row.
     pub(crate) fn axis<'d>(&self, data: &'d Data) -> Cow<'d, [f64]> {
         let thermal = self.thermal.as_ref();
         let Some(thermal) = thermal.filter(|it| data.temperature(&it.sensor).is_some()) else {

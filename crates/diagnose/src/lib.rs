@@ -129,13 +129,13 @@ impl Diagnosis {
         ]
     }
 
-    /// The verdict in a sentence.
+    /// Returns the verdict in a sentence.
     #[must_use]
     pub fn sentence(&self) -> String {
         answer::html::verdict_sentence(self)
     }
 
-    /// What is promised of the error at the tool on another day, from its inputs: what it measures is not
+    /// Returns what is promised of the error at the tool on another day, from its inputs: what it measures is not
     /// looked at, but where it measures is.
     ///
     /// # Errors
@@ -144,7 +144,7 @@ impl Diagnosis {
         self.promise.on(&self.data, std::slice::from_ref(day))
     }
 
-    /// The shortest run, of the spindle or of the axis, that tells what is open apart.
+    /// Returns the shortest run, of the spindle or of the axis, that tells what is open apart.
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.
@@ -152,8 +152,8 @@ impl Diagnosis {
         next::next(&self.questions, &self.data, &self.runs, gauge)
     }
 
-    /// What a further run has measured for the first open cause against its rival: the difference of −2·ln of their
-    /// likelihoods, above 0 for the cause that was named; none where nothing is open.
+    /// Returns what a further run has measured for the first open cause against its rival: the difference of −2·ln of
+    /// their likelihoods, above 0 for the cause that was named; none where nothing is open.
     ///
     /// # Errors
     /// A column is missing that the model needs.
@@ -161,7 +161,7 @@ impl Diagnosis {
         next::told_apart_by(&self.questions, &self.data, run)
     }
 
-    /// Whether a board corrects anything by the extended machine file: not what only explains.
+    /// Returns whether a board corrects anything by the extended machine file: not what only explains.
     #[must_use]
     pub fn corrects(&self) -> bool {
         self.terms.iter().any(|term| term.effect.is_compensated()) || !self.corrected.is_empty()

@@ -43,7 +43,7 @@ impl Model {
         self.parts.iter().any(|part| part.kind == *kind)
     }
 
-    /// The part that settles from the start on as fast as the law of another part does, and that part: the
+    /// Returns the part that settles from the start on as fast as the law of another part does, and that part: the
     /// machine had not settled when the record began, and the lagged law cannot know where it stood.
     pub(crate) fn unsettled_start(&self) -> Option<[&Part; 2]> {
         let is_start = |part: &&Part| part.kind.is_from_the_start();
@@ -55,13 +55,13 @@ impl Model {
         self.parts.iter().find(late).map(|late| [start, late])
     }
 
-    /// Whether it, or the machine file, moves all of the model in time.
+    /// Returns whether it, or the machine file, moves all of the model in time.
     pub(crate) fn has_shift(&self, data: &Data) -> bool {
         self.parts.iter().any(|part| part.kind.is_shift())
             || data.stated.iter().any(|stated| stated.effect.stage() == Stage::Shift)
     }
 
-    /// The model with the terms of the machine file that it does not have itself.
+    /// Returns the model with the terms of the machine file that it does not have itself.
     pub(crate) fn with_stated(&self, data: &Data) -> Cow<'_, Self> {
         let parts = data.stated.iter().map(Part::stated);
         let held: Vec<Part> = parts.filter(|part| !self.has(&part.kind)).collect();
@@ -74,7 +74,7 @@ impl Model {
         Cow::Owned(with)
     }
 
-    /// The prediction of each row.
+    /// Returns the prediction of each row.
     pub(crate) fn predict(&self, data: &Data) -> Vec<f64> {
         let model = self.with_stated(data);
         match model.shift_s() {
@@ -89,7 +89,7 @@ impl Model {
         shifts.map(|part| part.values[0]).reduce(|a, b| a + b)
     }
 
-    /// The prediction of each row by its own parts, as if nothing were late.
+    /// Returns the prediction of each row by its own parts, as if nothing were late.
     pub(crate) fn unshifted(&self, data: &Data) -> Vec<f64> {
         let laws = Laws::corrected(data, &self.parts);
         let mut elongation = laws.elongation(data);
@@ -113,7 +113,7 @@ impl Model {
     }
 }
 
-/// The rows of `data` of a prediction for the whole that they were drawn from, `shift_s` late: what is
+/// Returns the rows of `data` of a prediction for the whole that they were drawn from, `shift_s` late: what is
 /// predicted at another time may be of a row that was not drawn.
 pub(crate) fn shifted_rows(data: &Data, whole_um: &[f64], shift_s: f64) -> Vec<f64> {
     let whole = data.without_holes();

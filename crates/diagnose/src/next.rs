@@ -149,7 +149,7 @@ impl Next {
         Self { stretches, axis: None, minutes: 0.0, every_s: 0.0, inputs, told }
     }
 
-    /// The run and what it brings, in a machinist's words.
+    /// Returns the run and what it brings, in a machinist's words.
     #[must_use]
     pub fn sentence(&self) -> String {
         let mut text = self.axis.as_ref().map_or_else(|| self.of_spindle(), AxisRun::sentence);
@@ -194,7 +194,7 @@ impl Next {
     }
 }
 
-/// The shortest run that answers the first of `questions` that any answers.
+/// Returns the shortest run that answers the first of `questions` that any answers.
 pub(crate) fn next(
     questions: &[Question],
     data: &Data,
@@ -239,7 +239,7 @@ struct Foreseen {
     table: Data,
 }
 
-/// All that are thought of.
+/// Returns all that are thought of.
 fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>, NoNext> {
     if let Some(axis) = data.quantity.axis() {
         let foresight =
@@ -265,7 +265,7 @@ fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>
     Ok(all.collect())
 }
 
-/// What `run` has measured for the first of `questions`.
+/// Returns what `run` has measured for the first of `questions`.
 pub(crate) fn told_apart_by(
     questions: &[Question],
     data: &Data,

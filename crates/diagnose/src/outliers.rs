@@ -61,7 +61,7 @@ const NEARER: f64 = 0.5;
 /// Readings on each side of one that tell its level.
 const ASIDE: usize = 3;
 
-/// What is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
+/// Returns what is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its
 /// rest, both as it is and from the neighbours' level; or, where an axis comes back, about its places (by the
 /// answer alone).
 pub(crate) fn judged(
@@ -96,7 +96,7 @@ pub(crate) fn judged(
     if by_level.min(by_place) < CLAIM { Aside::Wrong } else { Aside::MayBeNoise }
 }
 
-/// Whether a reading is nearer to what is predicted of a neighbour in time than to half of its way: it was
+/// Returns whether a reading is nearer to what is predicted of a neighbour in time than to half of its way: it was
 /// read before what happens there, or after.
 fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
     // Of an axis the neighbours stand elsewhere.
@@ -110,12 +110,12 @@ fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
     before.into_iter().chain(after).any(is_nearer)
 }
 
-/// What `predicted` leaves of each row.
+/// Returns what `predicted` leaves of each row.
 fn left(data: &Data, predicted: &[f64]) -> Vec<f64> {
     data.measured.iter().zip(predicted).map(|(measured, predicted)| measured - predicted).collect()
 }
 
-/// How far each of `rows` is from the median of those around it that are not set aside; NaN of the others.
+/// Returns how far each of `rows` is from the median of those around it that are not set aside; NaN of the others.
 fn from_level(data: &Data, rows: &[usize], aside: &[bool], left_um: &[f64]) -> Vec<f64> {
     let mut distance_um = vec![f64::NAN; data.rows];
     for (at, &row) in rows.iter().enumerate() {
@@ -130,7 +130,7 @@ fn from_level(data: &Data, rows: &[usize], aside: &[bool], left_um: &[f64]) -> V
     distance_um
 }
 
-/// Which of the rows `aside` are surely no moment of the machine: of a record in time, those that have near
+/// Returns which of the rows `aside` are surely no moment of the machine: of a record in time, those that have near
 /// rows on both sides at the same speed and load. At a start, a pause or a change the reading may be right,
 /// and what happened there is not known.
 fn of_readings(data: &Data, aside: &[bool]) -> Vec<bool> {
@@ -189,7 +189,7 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
     }
 }
 
-/// The place at which each of `rows` stands, by its position to a micrometre and its direction; none where
+/// Returns the place at which each of `rows` stands, by its position to a micrometre and its direction; none where
 /// nothing moves.
 fn stops(data: &Data, rows: &[usize]) -> Vec<(i64, bool)> {
     let (Some(position), direction) = (data.own_position(), data.own_direction()) else {
@@ -221,7 +221,7 @@ fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)])
     }
 }
 
-/// The chance that two of the rows `far` are off to the same side.
+/// Returns the chance that two of the rows `far` are off to the same side.
 fn same_side(far: &[usize], residual: &[f64]) -> f64 {
     let above = far.iter().filter(|row| residual[**row] > 0.0).count() as f64;
     let share = above / far.len().max(1) as f64;
@@ -231,7 +231,7 @@ fn same_side(far: &[usize], residual: &[f64]) -> f64 {
 /// Neighbours are told from chance at 1 %.
 const CHANCE: f64 = 0.01;
 
-/// The instrument's last digit: the smallest step between readings, but for the rarest.
+/// Returns the instrument's last digit: the smallest step between readings, but for the rarest.
 fn last_digit(data: &Data, rows: &[usize]) -> f64 {
     let mut values: Vec<f64> = rows.iter().map(|&row| data.measured[row]).collect();
     values.sort_unstable_by(f64::total_cmp);

@@ -29,7 +29,7 @@ pub(crate) struct Estimates {
     pub reaches_nothing: bool,
 }
 
-/// What is known of the values of a part of `fitted`, under `noise`.
+/// Returns what is known of the values of a part of `fitted`, under `noise`.
 pub(crate) fn estimates(
     problem: &Problem,
     fitted: &Fitted,
@@ -157,7 +157,7 @@ pub(crate) fn estimates(
     Estimates { named: map, intervals, is_determined, reaches_nothing }
 }
 
-/// Whether the intervals of all values that say how much a part does hold the value at which it does
+/// Returns whether the intervals of all values that say how much a part does hold the value at which it does
 /// nothing: of amplitudes and a shift 0, of a term of the machine file what the file says. Lists are
 /// judged as wholes ([`list_may_be_nothing`]); a time constant may be 0.
 fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
@@ -187,7 +187,7 @@ const REGION: f64 = 0.95;
 /// The ends of a time constant's interval lie within this factor: known to a factor of two either way.
 const KNOWN: f64 = 4.0;
 
-/// Whether a list (a table, a spline) may be nothing: whether 0 for all of its values is in their common
+/// Returns whether a list (a table, a spline) may be nothing: whether 0 for all of its values is in their common
 /// region of 95 %, everything else of the model fitted with them.
 ///
 /// ```text

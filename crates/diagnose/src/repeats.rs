@@ -87,14 +87,14 @@ impl Targets {
         Some(Self { own, readings: readings.collect(), at_mm, rows })
     }
 
-    /// The readings, each with the value `of` its number among the rows that this was made of and its
+    /// Returns the readings, each with the value `of` its number among the rows that this was made of and its
     /// row.
     pub(crate) fn readings(&self, of: impl Fn(usize) -> f64) -> Vec<Reading> {
         let with = |(it, &row): (&Reading, &usize)| Reading { value: of(row), ..*it };
         self.readings.iter().zip(&self.rows).map(with).collect()
     }
 
-    /// The rows that stand alone among the repeats of what `residual` (by row) leaves.
+    /// Returns the rows that stand alone among the repeats of what `residual` (by row) leaves.
     pub(crate) fn gross(&self, data: &Data, residual: impl Fn(usize) -> f64) -> Vec<bool> {
         let mut aside = vec![false; data.rows];
         let found = gross(&self.readings(residual));
@@ -102,7 +102,7 @@ impl Targets {
         aside
     }
 
-    /// How far what is `left_um` of each row is from the median of its place's others that are not set
+    /// Returns how far what is `left_um` of each row is from the median of its place's others that are not set
     /// aside; NaN of rows that are at none.
     pub(crate) fn away_from_place(&self, left_um: &[f64], aside: &[bool]) -> Vec<f64> {
         let mut at: HashMap<(usize, usize), Vec<usize>> = HashMap::new();
@@ -120,7 +120,7 @@ impl Targets {
         distance_um
     }
 
-    /// The tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
+    /// Returns the tables that may be tried, as [`Law`]s: a step is the screw's, so that a scale has none.
     pub(crate) fn laws(&self, data: &Data) -> Vec<Law> {
         let has = |side: usize| self.readings.iter().any(|it| it.side == side);
         let mut laws = vec![Law::Table];
@@ -133,7 +133,7 @@ impl Targets {
         laws
     }
 
-    /// A law as terms, neutral; none where no table of equal steps is determined by these places.
+    /// Returns a law as terms, neutral; none where no table of equal steps is determined by these places.
     pub(crate) fn terms(&self, law: Law) -> Option<Vec<Part>> {
         let (start_mm, step_mm, points) = self.grid()?;
         let forward_um = vec![0.0; points];
@@ -150,7 +150,7 @@ impl Targets {
         kinds.map(|kind| kind.map(neutral).map(part)).collect()
     }
 
-    /// The points of a table: start, step and number. The places themselves where they are even, else as
+    /// Returns the points of a table: start, step and number. The places themselves where they are even, else as
     /// many points as each is known within twice the uncertainty of one reading at every place.
     fn grid(&self) -> Option<(f64, f64, usize)> {
         /// Steps that differ by less are even: the targets may have been written in few digits.
@@ -171,7 +171,7 @@ impl Targets {
         })
     }
 
-    /// The places that were read on one side, in mm, rising.
+    /// Returns the places that were read on one side, in mm, rising.
     fn places_of(&self, side: usize) -> Vec<f64> {
         let is_read =
             |place: usize| self.readings.iter().any(|it| it.place == place && it.side == side);

@@ -32,7 +32,7 @@ impl Extended {
     }
 }
 
-/// The terms of `model`, in its order. Where the zero of the measurement goes: into the reference
+/// Returns the terms of `model`, in its order. Where the zero of the measurement goes: into the reference
 /// temperature of the first term that has one, else to the last term.
 pub(crate) fn terms(data: &Data, model: &Model) -> Vec<Term> {
     let mut terms: Vec<Term> = model

@@ -17,7 +17,7 @@ use trueup_numerics::{fourier, parallel::on_all_cores, random::Generator};
 /// Beyond so many the positions are as dense as those of a continuous record, and lie on no grid.
 const MOST_FREQUENCIES: usize = 40_000;
 
-/// The frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
+/// Returns the frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
 /// whole length, and ln of the number of independent frequencies that were looked at.
 pub(crate) fn peak(
     at: &[f64],
@@ -29,7 +29,7 @@ pub(crate) fn peak(
     (power > 0.0).then_some((frequency, looked_at.ln()))
 }
 
-/// The frequencies of the highest peaks of `values` over `at`, at most `most`, the highest first: up to
+/// Returns the frequencies of the highest peaks of `values` over `at`, at most `most`, the highest first: up to
 /// twice one over the typical spacing, so that the aliases of a wave are among them.
 pub(crate) fn peaks(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
     let Some(Grid { low, range, spacing }) = Grid::of(at) else { return Vec::new() };

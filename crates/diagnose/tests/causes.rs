@@ -17,7 +17,7 @@ fn noise(state: &mut u32) -> f64 {
     f64::from(*state >> 16) / 32_768.0 - 1.0
 }
 
-/// The answer, and the largest difference in µm between what it predicts of the rows and what `predict`
+/// Returns the answer, and the largest difference in µm between what it predicts of the rows and what `predict`
 /// does with the file that it hands out.
 fn answered(sections: &str, csv: &str, quantity: Quantity) -> (Diagnosis, f64) {
     let (text, path) = (format!("{HEAD}{sections}"), Path::new("m.toml"));
@@ -45,7 +45,7 @@ fn names(diagnosis: &Diagnosis) -> Vec<String> {
     diagnosis.report.findings.iter().map(|finding| finding.cause.clone()).collect()
 }
 
-/// Two hours of heating and cooling at 2 µm/K, the thermometer 120 s behind the part.
+/// Returns two hours of heating and cooling at 2 µm/K, the thermometer 120 s behind the part.
 fn late_run() -> String {
     let mut csv = String::from("time_s,temp_a_c,measured_elongation_um\n");
     let (mut part_c, mut shown_c, mut state) = (20.0, 20.0, 1);

@@ -39,7 +39,7 @@ impl Noise {
     }
 }
 
-/// A wave of 8.9 mm and 5 µm at `places`, three cycles there and back.
+/// Returns a wave of 8.9 mm and 5 µm at `places`, three cycles there and back.
 fn wave(places: &[f64]) -> String {
     let mut noise = Noise(7);
     let mut run = String::from("run,x_mm,dir_x,measured_dx_um\n");
@@ -134,7 +134,7 @@ fn what_was_seen_once_is_not_claimed() {
     assert!(claimed(&often).contains(&"cutting-load"), "{:?}", often.report.findings);
 }
 
-/// One map of 9 × 9 places, Z by X and Y: what `um` says at each, and noise of 0.3 µm.
+/// Returns one map of 9 × 9 places, Z by X and Y: what `um` says at each, and noise of 0.3 µm.
 fn map(um: impl Fn(f64, f64) -> f64) -> String {
     let mut noise = Noise(5);
     let mut run = String::from("x_mm,y_mm,measured_dz_um\n");
@@ -176,7 +176,7 @@ fn one_gross_reading_is_told_of_as_one() {
     assert_eq!(gross.evidence[1], "Set aside: row 121.");
 }
 
-/// An hour in which the tool moves by 2 µm at 2010 s, and nobody reads it for `pause_s` before.
+/// Returns an hour in which the tool moves by 2 µm at 2010 s, and nobody reads it for `pause_s` before.
 fn jump(pause_s: i32) -> String {
     let mut noise = Noise(9);
     let mut run = String::from("time_s,temp_a_c,measured_elongation_um\n");

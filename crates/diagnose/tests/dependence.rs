@@ -27,7 +27,7 @@ fn claimed(diagnosis: &Diagnosis) -> Vec<&Finding> {
     diagnosis.report.findings.iter().filter(|finding| finding.claimed).collect()
 }
 
-/// A day at a mill whose error is right but for `hidden` of the tool's number, the speed and the door.
+/// Returns a day at a mill whose error is right but for `hidden` of the tool's number, the speed and the door.
 fn day(seed: u64, hidden: impl Fn(f64, f64, f64) -> f64) -> String {
     let mut stream = Stream::new(seed, "mill");
     let mut csv =

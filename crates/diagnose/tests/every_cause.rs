@@ -40,7 +40,7 @@ fn each_is_found(causes: &[Hidden]) {
     assert!(complaints.is_empty(), "{}", complaints.join("\n"));
 }
 
-/// Whether what is measured is an axis's error, and not an elongation.
+/// Returns whether what is measured is an axis's error, and not an elongation.
 fn is_of_axis(challenge: &Challenge) -> bool {
     challenge.quantity != "elongation"
 }

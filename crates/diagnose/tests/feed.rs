@@ -93,7 +93,7 @@ fn a_backlash_that_is_the_same_at_each_feed_keeps_its_simpler_name() {
     }
 }
 
-/// The same run with another name for a column.
+/// Returns the same run with another name for a column.
 fn renamed(csv: &str, column: &str, name: &str) -> String {
     csv.replacen(column, name, 1)
 }

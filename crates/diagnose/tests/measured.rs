@@ -14,7 +14,7 @@ fn read(path: &Path) -> RunFile {
     RunFile::read(path).expect("a run file")
 }
 
-/// The rows `rows` (from 0) of the file at `path`, as a run of their own.
+/// Returns the rows `rows` (from 0) of the file at `path`, as a run of their own.
 fn part(path: &Path, rows: std::ops::Range<usize>) -> RunFile {
     let text = std::fs::read_to_string(path).expect("a text file");
     let mut lines = text.lines();

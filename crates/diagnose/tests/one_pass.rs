@@ -75,7 +75,7 @@ fn a_scale_of_one_pass_may_be_a_drift_with_a_clock_or_without() {
     assert!(finding(&diagnosed(&pass(true, 2, line)), "pitch-scale").claimed);
 }
 
-/// A chiller that nobody recorded: 3 µm every 23 min; the clock counts from 1970.
+/// Returns a chiller that nobody recorded: 3 µm every 23 min; the clock counts from 1970.
 fn chiller(bed_swings: bool) -> String {
     let mut noise = Generator::new(22);
     let mut run = String::from("time_s,temp_bed_c,measured_dz_um\n");

@@ -11,7 +11,7 @@ use trueup_numerics::random::Generator;
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
                        [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
 
-/// A row each 10 s; `true_c` is what the part has, `noise_c` what the thermometer adds, `wandering_um` what
+/// Returns a row each 10 s; `true_c` is what the part has, `noise_c` what the thermometer adds, `wandering_um` what
 /// nothing records, with a memory of a quarter of an hour.
 fn day(true_c: impl Fn(f64) -> f64, noise_c: f64, wandering_um: f64, seed: u64) -> RunFile {
     let mut noise = Generator::new(seed);

@@ -10,7 +10,7 @@ use shipped::Shipped;
 
 use key::Told;
 
-/// What is said of the record of `seed`.
+/// Returns what is said of the record of `seed`.
 fn told(shipped: &Shipped, seed: u64) -> Told {
     (shipped.key)().of(&shipped.diagnosed(seed).report)
 }

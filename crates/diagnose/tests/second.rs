@@ -11,7 +11,7 @@ use score::{Row, answer, score as scored};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::hidden::{Challenge, Hidden, draw};
 
-/// What the host's model makes of the machine file, for each row of the training runs.
+/// Returns what the host's model makes of the machine file, for each row of the training runs.
 fn predicted(challenge: &Challenge) -> Result<Vec<f64>, String> {
     let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
         .map_err(|bad| bad.to_string())?;
@@ -82,7 +82,7 @@ fn measured_anew(
     *csv = text;
 }
 
-/// A machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
+/// Returns a machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
 /// 1.2.
 fn gain_beside_growth(seed: u64) -> Challenge {
     let mut challenge = draw(Hidden::SensorGain, 3.0, seed);

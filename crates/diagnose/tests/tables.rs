@@ -18,7 +18,7 @@ fn run(name: &str) -> Option<RunFile> {
     data(name).map(|path| RunFile::read(&path).expect("a run file"))
 }
 
-/// The answer to a run of the data, and to a hold-out of them if one is named.
+/// Returns the answer to a run of the data, and to a hold-out of them if one is named.
 fn diagnosed(name: &str, holdout: Option<&str>) -> Option<Diagnosis> {
     let runs = [run(name)?];
     let holdout: Vec<RunFile> = match holdout {
@@ -118,7 +118,7 @@ fn one_pass_is_taken_over_and_not_believed() {
     }
 }
 
-/// Whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
+/// Returns whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
 /// the axis's own position.
 fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
     let (unaided, _) = Unaided::of(Cow::Borrowed(run), None, None).expect("no bridge");

@@ -76,7 +76,7 @@ fn diagnosed(machine: &str, csv: &str) -> (Diagnosis, Machine) {
     (answer, extended)
 }
 
-/// What the board leaves of `truth_um` with `machine`.
+/// Returns what the board leaves of `truth_um` with `machine`.
 fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
     let run = run(csv);
     let predictor = Predictor::new(machine, &run).expect("the columns are there");
@@ -85,7 +85,7 @@ fn left_um(machine: &Machine, csv: &str, truth_um: &[f64]) -> f64 {
     rms(&left.collect::<Vec<f64>>())
 }
 
-/// The largest constant or rise of what the board runs.
+/// Returns the largest constant or rise of what the board runs.
 fn largest_um(machine: &Machine) -> f64 {
     let sizes = machine.terms.iter().filter(|term| term.effect.is_compensated()).map(|term| {
         let forms = term.effect.on_board();
@@ -136,13 +136,13 @@ const SENSOR: &str = "[machine]\nname = \"a spindle\"\nkind = \"3-axis\"\n[input
                       [spindle]\nsource = \"sensor\"\n[spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\n\
                       um_per_count = 0.0152587890625\ntemperature = \"temp_coil_c\"\n";
 
-/// A day of a scenario.
+/// Returns a day of a scenario.
 fn day(scenario: &str, seed: u64) -> RunFile {
     let scenario = Scenario::parse(scenario, Path::new("s.toml")).expect("it is shipped");
     run(&simulate(&scenario, seed, || {}).to_csv())
 }
 
-/// What the board leaves of a day: RMS, in µm; of an axis about its zero.
+/// Returns what the board leaves of a day: RMS, in µm; of an axis about its zero.
 fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 {
     let measured = day.column(&format!("measured_{}_um", quantity.name())).expect("measured");
     let number = Quantity::ALL.iter().position(|it| *it == quantity).expect("one of four");

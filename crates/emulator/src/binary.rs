@@ -13,7 +13,7 @@ pub const FLASH_START: u32 = 0x0800_0000;
 /// Its size in bytes.
 pub const FLASH_SIZE: usize = 1024 * 1024;
 
-/// What is to be written from [`FLASH_START`] on. Gaps are as erased flash.
+/// Returns what is to be written from [`FLASH_START`] on. Gaps are as erased flash.
 ///
 /// # Errors
 /// The image cannot be read, or has bytes outside the flash.

@@ -164,7 +164,7 @@ impl VirtualBoard {
         Ok(())
     }
 
-    /// The CNC's end of the serial line, as QEMU has it: whoever takes it must read on, because
+    /// Returns the CNC's end of the serial line, as QEMU has it: whoever takes it must read on, because
     /// QEMU stops when a few hundred bytes wait there.
     ///
     /// # Errors
@@ -173,7 +173,7 @@ impl VirtualBoard {
         Ok(self.serial.try_clone()?)
     }
 
-    /// The CNC's end of the serial line, for one who reads when it suits him.
+    /// Returns the CNC's end of the serial line, for one who reads when it suits him.
     ///
     /// # Errors
     /// The socket cannot be shared.
@@ -191,25 +191,25 @@ impl VirtualBoard {
         Ok(Line { writer: self.serial()?, received, rest: VecDeque::new() })
     }
 
-    /// The board's log so far.
+    /// Returns the board's log so far.
     #[must_use]
     pub fn log(&self) -> Vec<String> {
         self.log.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// The board's log since it was last taken.
+    /// Returns the board's log since it was last taken.
     #[must_use]
     pub fn take_log(&self) -> Vec<String> {
         std::mem::take(&mut self.log.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// What the board keeps when its power goes: [`VirtualBoard::restart`] finds it there.
+    /// Returns what the board keeps when its power goes: [`VirtualBoard::restart`] finds it there.
     #[must_use]
     pub fn flash(&self) -> std::path::PathBuf {
         self.qemu.path("flash.bin")
     }
 
-    /// The emulator it runs in.
+    /// Returns the emulator it runs in.
     pub fn qemu(&mut self) -> &mut Qemu {
         &mut self.qemu
     }

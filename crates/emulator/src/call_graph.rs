@@ -52,7 +52,7 @@ pub struct Reached {
 }
 
 impl Reached {
-    /// What of it makes a panic: functions of that name, traps, and what could not be followed.
+    /// Returns what of it makes a panic: functions of that name, traps, and what could not be followed.
     #[must_use]
     pub fn panics(&self) -> Vec<&str> {
         let named = self.names.iter().filter(|name| name.contains("panic"));
@@ -61,7 +61,7 @@ impl Reached {
 }
 
 impl CallGraph {
-    /// The functions of an image.
+    /// Returns the functions of an image.
     ///
     /// # Errors
     /// It cannot be read, or has no symbols.
@@ -101,7 +101,7 @@ impl CallGraph {
         Ok(Self { functions })
     }
 
-    /// What can be reached from the function whose linker name contains `part`.
+    /// Returns what can be reached from the function whose linker name contains `part`.
     ///
     /// # Errors
     /// There is none, or more than one.
@@ -151,7 +151,7 @@ pub struct Depth {
 }
 
 impl CallGraph {
-    /// The deepest stack of the function of this name. Those with a part of `without` in their name are left
+    /// Returns the deepest stack of the function of this name. Those with a part of `without` in their name are left
     /// out below it, and all that they call.
     ///
     /// # Errors
@@ -163,7 +163,7 @@ impl CallGraph {
         self.walk(*start, without, &mut BTreeMap::new(), &mut Vec::new())
     }
 
-    /// The deepest stack of all functions with one of these parts in their name, as [`Self::deepest`].
+    /// Returns the deepest stack of all functions with one of these parts in their name, as [`Self::deepest`].
     ///
     /// # Errors
     /// As there.
@@ -224,7 +224,7 @@ impl CallGraph {
     }
 }
 
-/// The branches in the bytes of a function that begins at `start`.
+/// Returns the branches in the bytes of a function that begins at `start`.
 fn branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Branches {
     let mut branches = Branches::default();
     let halves: Vec<u16> =
@@ -257,7 +257,7 @@ fn branches(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Branches 
     branches
 }
 
-/// The low `bits` bits as a number with a sign.
+/// Returns the low `bits` bits as a number with a sign.
 fn signed(value: u32, bits: u32) -> i64 {
     let unused = 32 - bits;
     i64::from((value << unused).cast_signed() >> unused)

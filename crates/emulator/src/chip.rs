@@ -17,7 +17,7 @@ use crate::{log::Decoder, process, setup};
 /// The oldest compiler that takes the model's processor, as its manifest says.
 pub const OLDEST: (u32, u32) = (1, 91);
 
-/// A cargo command for the model: `cargo <verb>` in its own workspace, built into `target/chip`.
+/// Returns a cargo command for the model: `cargo <verb>` in its own workspace, built into `target/chip`.
 #[must_use]
 pub fn cargo(verb: &str) -> Command {
     let folder = setup::root().join("crates/chip");
@@ -31,7 +31,7 @@ fn target() -> PathBuf {
     setup::root().join("target/chip")
 }
 
-/// Whether this compiler builds the model.
+/// Returns whether this compiler builds the model.
 ///
 /// # Errors
 /// It does not say which it is.
@@ -148,7 +148,7 @@ impl Line {
         Self::start_at("--serial", model, image, options)
     }
 
-    /// The same, of the RS-485 line for a PLC.
+    /// Returns the same, of the RS-485 line for a PLC.
     ///
     /// # Errors
     /// As [`Self::start`].

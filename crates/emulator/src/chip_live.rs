@@ -31,7 +31,7 @@ pub struct LiveChip {
 }
 
 impl LiveChip {
-    /// A board with its power just switched on, whose serial line is a TCP port of this machine; 0: any
+    /// Returns a board with its power just switched on, whose serial line is a TCP port of this machine; 0: any
     /// free one.
     ///
     /// # Errors
@@ -108,7 +108,7 @@ impl LiveChip {
         Ok(())
     }
 
-    /// What the image has logged since it was last asked.
+    /// Returns what the image has logged since it was last asked.
     #[must_use]
     pub fn take_log(&self) -> Vec<String> {
         std::mem::take(&mut self.log.lock().unwrap_or_else(PoisonError::into_inner))

@@ -137,7 +137,7 @@ impl<S: Read + Write> Cnc<S> {
         Ok(())
     }
 
-    /// The next offsets of which both frames have come and are valid.
+    /// Returns the next offsets of which both frames have come and are valid.
     ///
     /// # Errors
     /// The line breaks.
@@ -152,7 +152,7 @@ impl<S: Read + Write> Cnc<S> {
         }
     }
 
-    /// The next thing that comes over the line.
+    /// Returns the next thing that comes over the line.
     ///
     /// # Errors
     /// The line breaks.

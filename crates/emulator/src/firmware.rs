@@ -41,7 +41,7 @@ impl Board {
     /// Both boards.
     pub const ALL: [Self; 2] = [Self::Stm32f405, Self::Virtual];
 
-    /// The feature that chooses this board.
+    /// Returns the feature that chooses this board.
     #[must_use]
     pub fn feature(self) -> &'static str {
         match self {
@@ -51,7 +51,7 @@ impl Board {
     }
 }
 
-/// A cargo command that compiles for the board: `cargo <verb> --target … --features …`.
+/// Returns a cargo command that compiles for the board: `cargo <verb> --target … --features …`.
 ///
 /// # Errors
 /// There is no way to the target; see [`setup::toolchain`].
@@ -136,7 +136,7 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
     build_as(Board::Stm32f405, "stm32f405", &name, Linked::File(machine))
 }
 
-/// The same with the feature `faults`: it breaks when it is told to, and is never for a machine.
+/// Returns the same with the feature `faults`: it breaks when it is told to, and is never for a machine.
 ///
 /// # Errors
 /// As [`build_for`].
@@ -154,7 +154,7 @@ fn mark(machine: &Path) -> Result<String> {
     Ok(format!("{:016x}", hasher.finish()))
 }
 
-/// The images that an installed tool carries, without a machine of anybody's: their folder.
+/// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
 ///
 /// # Errors
 /// As [`build`].

@@ -15,7 +15,7 @@ pub struct Frame {
     pub pointers: Vec<u64>,
 }
 
-/// The frame of a function whose bytes begin at `start`.
+/// Returns the frame of a function whose bytes begin at `start`.
 pub fn frame(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Frame {
     let mut frame = Frame::default();
     let halves: Vec<u16> =
@@ -56,7 +56,7 @@ pub fn frame(code: &[u8], start: u64, is_data: impl Fn(u64) -> bool) -> Frame {
     frame
 }
 
-/// How far an instruction of 32 bits moves the stack pointer down.
+/// Returns how far an instruction of 32 bits moves the stack pointer down.
 fn wide(first: u32, second: u32) -> u64 {
     let to_sp = second >> 8 & 15 == 13;
     match first {
@@ -76,7 +76,7 @@ fn wide(first: u32, second: u32) -> u64 {
     }
 }
 
-/// The 12 bits i:imm3:imm8.
+/// Returns the 12 bits i:imm3:imm8.
 fn immediate(first: u32, second: u32) -> u32 {
     (first >> 10 & 1) << 11 | (second >> 12 & 7) << 8 | second & 0xFF
 }

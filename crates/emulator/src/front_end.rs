@@ -34,7 +34,7 @@ pub struct FrontEnd {
 struct LowPass(Option<[f64; 2]>);
 
 impl LowPass {
-    /// The voltage after the low-pass at the end of a step in which the input was `volts`. It
+    /// Returns the voltage after the low-pass at the end of a step in which the input was `volts`. It
     /// starts settled.
     fn step(&mut self, volts: f64, share: f64) -> f64 {
         let [first, second] = self.0.get_or_insert([volts; 2]);
@@ -45,7 +45,7 @@ impl LowPass {
 }
 
 impl FrontEnd {
-    /// A front end that takes the sensor's volts times `divider` to the ADC.
+    /// Returns a front end that takes the sensor's volts times `divider` to the ADC.
     #[must_use]
     pub fn new(divider: f64, seed: u64) -> Self {
         Self {
@@ -56,21 +56,21 @@ impl FrontEnd {
         }
     }
 
-    /// The same without its analogue low-pass: to show what that is for.
+    /// Returns the same without its analogue low-pass: to show what that is for.
     #[must_use]
     pub fn without_low_pass(mut self) -> Self {
         self.low_pass = None;
         self
     }
 
-    /// The time of the next conversion in seconds from the start.
+    /// Returns the time of the next conversion in seconds from the start.
     #[must_use]
     #[allow(clippy::cast_precision_loss, reason = "14 000 years of samples fit")]
     pub fn time_s(&self) -> f64 {
         self.samples as f64 / SAMPLE_HZ
     }
 
-    /// The next conversion. `volts_at` is the sensor's voltage at a time in seconds from the start.
+    /// Returns the next conversion. `volts_at` is the sensor's voltage at a time in seconds from the start.
     #[allow(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,
@@ -95,7 +95,7 @@ impl FrontEnd {
         Code(code.round().clamp(0.0, f64::from(Code::MAX.0)) as u16)
     }
 
-    /// A millisecond of conversions.
+    /// Returns a millisecond of conversions.
     pub fn block(&mut self, volts_at: impl Fn(f64) -> f64) -> [Code; 20] {
         std::array::from_fn(|_| self.convert(&volts_at))
     }

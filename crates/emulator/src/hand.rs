@@ -42,7 +42,7 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// A hand that types at standard input.
+    /// Returns a hand that types at standard input.
     #[must_use]
     pub fn at_standard_input() -> Self {
         let hand = Self::default();
@@ -106,7 +106,7 @@ impl Hand {
         self.control.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the CNC says in the next millisecond of the board; `None`: there is none on the bus.
+    /// Returns what the CNC says in the next millisecond of the board; `None`: there is none on the bus.
     #[must_use]
     pub fn control(&self) -> Option<Control> {
         let control = *self.set();
@@ -125,7 +125,7 @@ impl Hand {
         self.switch_is_closed.load(Ordering::Relaxed)
     }
 
-    /// Whether the run is to begin again, once.
+    /// Returns whether the run is to begin again, once.
     #[must_use]
     pub fn take_again(&self) -> bool {
         self.again.swap(false, Ordering::Relaxed)

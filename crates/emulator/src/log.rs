@@ -11,7 +11,7 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// The decoder for an image.
+    /// Returns the decoder for an image.
     ///
     /// # Errors
     /// It cannot be read, or it logs nothing.

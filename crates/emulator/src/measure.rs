@@ -204,7 +204,7 @@ fn by_tool() -> String {
     text
 }
 
-/// A machine with a curve of 8 segments and one of 512, knots 0.5 to 1.5 of their mean apart.
+/// Returns a machine with a curve of 8 segments and one of 512, knots 0.5 to 1.5 of their mean apart.
 fn curves() -> String {
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(1);
     let mut text = String::from("[machine]\nname = \"curves\"\nkind = \"3-axis\"\n");

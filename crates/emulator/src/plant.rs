@@ -86,7 +86,7 @@ impl Plant {
         })
     }
 
-    /// The next step: what the machine does, and for how many milliseconds. `None` when the plant
+    /// Returns the next step: what the machine does, and for how many milliseconds. `None` when the plant
     /// has closed the line, or when `is_over` says so, which is asked while the plant thinks.
     ///
     /// # Errors

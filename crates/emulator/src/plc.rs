@@ -13,7 +13,7 @@ use trueup_modbus::{
 /// The unit of a board whose switches are open.
 pub const UNIT: u8 = 1;
 
-/// A request or an answer as it is on the line: the unit, what it is asked or answers, the checksum.
+/// Returns a request or an answer as it is on the line: the unit, what it is asked or answers, the checksum.
 #[must_use]
 pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     let body = [&[unit], pdu].concat();
@@ -30,13 +30,13 @@ pub fn hex(bytes: &[u8]) -> String {
     hex
 }
 
-/// What asks for the whole input block.
+/// Returns what asks for the whole input block.
 #[must_use]
 pub fn read_pdu() -> Vec<u8> {
     vec![4, 0, 0, 0, INPUT_LEN as u8]
 }
 
-/// What writes a holding block with this `Control` and nothing else.
+/// Returns what writes a holding block with this `Control` and nothing else.
 #[must_use]
 pub fn write_pdu(control: Control, counter: u16) -> Vec<u8> {
     let block = Cnc { control, ..Cnc::default() }.encode(counter);

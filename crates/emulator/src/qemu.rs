@@ -24,7 +24,7 @@ const LONGEST_SOCKET_PATH: usize = 107;
 /// A folder that is removed with the last emulator in it.
 pub type Folder = Arc<tempfile::TempDir>;
 
-/// A new, empty one.
+/// Returns a new, empty one.
 ///
 /// # Errors
 /// There is no place for temporary files.
@@ -96,25 +96,25 @@ impl Qemu {
         Ok(Self { child, folder })
     }
 
-    /// A path in the emulator's folder.
+    /// Returns a path in the emulator's folder.
     #[must_use]
     pub fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    /// The emulator's folder.
+    /// Returns the emulator's folder.
     #[must_use]
     pub fn folder(&self) -> Folder {
         self.folder.clone()
     }
 
-    /// The process id, for those who want to end it from outside.
+    /// Returns the process id, for those who want to end it from outside.
     #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// What the image writes by semihosting; it can be taken once.
+    /// Returns what the image writes by semihosting; it can be taken once.
     ///
     /// # Errors
     /// It was taken before.
@@ -151,7 +151,7 @@ impl Qemu {
         Ok(())
     }
 
-    /// The error for a channel to the board that has broken off.
+    /// Returns the error for a channel to the board that has broken off.
     #[must_use]
     pub fn broken(&mut self, what: &str) -> anyhow::Error {
         // The pipes close a moment before the process can be seen to have ended.

@@ -122,7 +122,7 @@ impl Replay {
         Ok(replay)
     }
 
-    /// Whether a replay for this machine plays the column `name`.
+    /// Returns whether a replay for this machine plays the column `name`.
     #[must_use]
     pub fn uses(machine: &Machine, name: &str) -> bool {
         let inputs = machine.inputs.as_ref();
@@ -139,7 +139,7 @@ impl Replay {
         }
     }
 
-    /// What the machine does at a time in seconds from the start.
+    /// Returns what the machine does at a time in seconds from the start.
     #[must_use]
     pub fn at(&self, time_s: f64) -> Situation {
         let next = self.from_s.partition_point(|&from| from <= time_s);
@@ -305,7 +305,7 @@ fn heading(sign: f64) -> Heading {
     }
 }
 
-/// The nearest integer, if the board has it.
+/// Returns the nearest integer, if the board has it.
 #[allow(clippy::cast_possible_truncation, reason = "checked to be in range")]
 fn whole(value: f64) -> Option<i32> {
     let rounded = value.round();
@@ -319,7 +319,7 @@ fn deliver(temperatures: &mut RawTemperatures, input: &TemperatureInput, celsius
     }
 }
 
-/// What the channels deliver at these temperatures, by the names of their columns. Those that are
+/// Returns what the channels deliver at these temperatures, by the names of their columns. Those that are
 /// not named deliver nothing.
 #[must_use]
 pub fn raw_temperatures(
@@ -335,7 +335,7 @@ pub fn raw_temperatures(
     delivered
 }
 
-/// What a channel delivers at a temperature in °C, at the resolution of the board's input. What is
+/// Returns what a channel delivers at a temperature in °C, at the resolution of the board's input. What is
 /// beyond its integer delivers the end of it, which no channel takes for a temperature.
 #[must_use]
 #[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]
@@ -354,7 +354,7 @@ pub fn raw(kind: TemperatureKind, celsius: f64) -> Raw {
     }
 }
 
-/// A speed as the wire carries it; either direction of rotation.
+/// Returns a speed as the wire carries it; either direction of rotation.
 #[must_use]
 #[allow(
     clippy::cast_possible_truncation,

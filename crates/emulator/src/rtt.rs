@@ -59,7 +59,7 @@ impl Monitor {
         serde_json::from_str(&line).context("QEMU's monitor")
     }
 
-    /// The log that stands in the board's RAM now.
+    /// Returns the log that stands in the board's RAM now.
     ///
     /// # Errors
     /// The image has no RTT, or more was logged than its buffer holds.
@@ -83,7 +83,7 @@ fn control_block(image: &Path) -> Result<u64> {
     Ok(symbol.context("the image has no RTT")?.address())
 }
 
-/// What the first up-channel holds: after 16 bytes of identifier and two counts come the name, the
+/// Returns what the first up-channel holds: after 16 bytes of identifier and two counts come the name, the
 /// buffer, its size and the place of the next write.
 fn up_channel(ram: &[u8], block: u64) -> Result<&[u8]> {
     let word = |address: u64| -> Result<u64> {

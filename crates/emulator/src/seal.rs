@@ -44,7 +44,7 @@ fn step(crc: u32, word: u32) -> u32 {
     })
 }
 
-/// The address of a symbol in an image.
+/// Returns the address of a symbol in an image.
 ///
 /// # Errors
 /// The image cannot be read.
@@ -55,7 +55,7 @@ pub fn symbol(image: &Path, name: &str) -> Result<Option<u32>> {
     Ok(found.map(|symbol| u32::try_from(symbol.address())).transpose()?)
 }
 
-/// The address of a symbol in a file, and its place there.
+/// Returns the address of a symbol in a file, and its place there.
 fn find(bytes: &[u8], name: &str) -> Option<(u32, usize)> {
     let file = object::File::parse(bytes).ok()?;
     let symbol = file.symbols().find(|symbol| symbol.name() == Ok(name))?;

@@ -350,7 +350,7 @@ pub fn listen(address: &str) -> Result<TcpListener> {
     Ok(listener)
 }
 
-/// The `HOST:PORT` of `tcp:HOST:PORT`.
+/// Returns the `HOST:PORT` of `tcp:HOST:PORT`.
 ///
 /// # Errors
 /// It has another form.

@@ -32,7 +32,7 @@ pub enum Toolchain {
     Distribution,
 }
 
-/// The root of the project, wherever the command was called. Cargo says at run time which package
+/// Returns the root of the project, wherever the command was called. Cargo says at run time which package
 /// it runs; what was compiled in may be out of date, because a folder can be moved.
 #[must_use]
 pub fn root() -> PathBuf {
@@ -209,7 +209,7 @@ pub struct LinuxCnc {
 }
 
 impl LinuxCnc {
-    /// The path of its start script.
+    /// Returns the path of its start script.
     #[must_use]
     pub fn program(&self) -> &Path {
         &self.program
@@ -245,7 +245,7 @@ pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
     Ok(Some(LinuxCnc { program, _alone: alone }))
 }
 
-/// The path of `log2asc`, one of the can-utils, for the tests of recordings.
+/// Returns the path of `log2asc`, one of the can-utils, for the tests of recordings.
 ///
 /// # Errors
 /// It is missing and cannot be installed.
@@ -258,7 +258,7 @@ pub fn log2asc() -> Result<PathBuf> {
     process::find(PROGRAM).context("can-utils is installed but log2asc is not on PATH")
 }
 
-/// The path of `mbpoll`, a Modbus master, for the tests of the gateway.
+/// Returns the path of `mbpoll`, a Modbus master, for the tests of the gateway.
 ///
 /// # Errors
 /// It is missing and cannot be installed.

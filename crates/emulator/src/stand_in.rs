@@ -56,7 +56,7 @@ pub struct StandIn {
 }
 
 impl StandIn {
-    /// The frames of the next millisecond.
+    /// Returns the frames of the next millisecond.
     pub fn frames(&mut self, now: &Situation, heard: &ReceivedFrames) -> [Option<Frame>; FRAMES] {
         let ms = self.ms;
         self.ms = self.ms.wrapping_add(1);

@@ -41,7 +41,7 @@ impl Drive<'_> {
         format!("{}{}", self.axis.name(), if self.is_second { "2" } else { "" })
     }
 
-    /// The sections of the machine file that it comes from.
+    /// Returns the sections of the machine file that it comes from.
     pub fn section(&self) -> String {
         let axis = self.axis.name();
         let pitch = match (self.pitch, self.is_second) {
@@ -66,13 +66,13 @@ impl Drive<'_> {
             + terms.sum::<f64>()
     }
 
-    /// Whether it has a table for each direction.
+    /// Returns whether it has a table for each direction.
     pub fn is_two_way(&self) -> bool {
         let of_terms = self.terms.iter().any(|(_, term)| is_two_way(&term.effect));
         of_terms || self.pitch.is_some_and(|pitch| pitch.reverse_um.is_some())
     }
 
-    /// What an approach in the negative direction adds wherever the axis is, in µm; 0 where there
+    /// Returns what an approach in the negative direction adds wherever the axis is, in µm; 0 where there
     /// are two tables, which contain it.
     pub fn backlash_um(&self) -> f64 {
         if self.is_two_way() {
@@ -85,12 +85,12 @@ impl Drive<'_> {
         self.backlash.map_or(0.0, |backlash| backlash.width_um) + terms.sum::<f64>()
     }
 
-    /// Whether it depends on the position.
+    /// Returns whether it depends on the position.
     pub fn has_table(&self) -> bool {
         !self.points_mm().is_empty()
     }
 
-    /// Whether the error is the same at every position and in both directions.
+    /// Returns whether the error is the same at every position and in both directions.
     pub fn is_flat(&self) -> bool {
         let first = self.error_um(0.0, Approach::Positive);
         self.points_mm()
@@ -107,7 +107,7 @@ impl Drive<'_> {
         tables.next().is_none().then_some(only)
     }
 
-    /// Whether it bends between its points, so that they are a choice.
+    /// Returns whether it bends between its points, so that they are a choice.
     pub fn is_curved(&self) -> bool {
         self.terms.iter().any(|(_, term)| term.effect.is_wave())
     }
@@ -117,7 +117,7 @@ impl Drive<'_> {
         self.travel_mm.is_none()
     }
 
-    /// The points between which it is linear, or nearly where it is curved, in mm, rising; none
+    /// Returns the points between which it is linear, or nearly where it is curved, in mm, rising; none
     /// where it does not depend on the position.
     pub fn points_mm(&self) -> Vec<f64> {
         let mut points = self.pitch.map_or_else(Vec::new, table_mm);
@@ -156,7 +156,7 @@ fn term_name(index: usize, term: &Term) -> String {
     format!("term[{index}] ({})", term.effect.name())
 }
 
-/// What a term adds along its own axis, in µm.
+/// Returns what a term adds along its own axis, in µm.
 fn along_um(effect: &Effect, position_mm: f64, approach: Approach) -> f64 {
     let read = |input: &Input<'_>| match input {
         Input::OwnPosition => position_mm,
@@ -167,18 +167,18 @@ fn along_um(effect: &Effect, position_mm: f64, approach: Approach) -> f64 {
     effect.at_row(&effect.values(), &x)
 }
 
-/// Whether it is another function of the position in either direction.
+/// Returns whether it is another function of the position in either direction.
 fn is_two_way(effect: &Effect) -> bool {
     let reads = effect.reads();
     reads.contains(&Input::OwnPosition) && reads.contains(&Input::OwnDirection)
 }
 
-/// Whether a term goes on and on along its axis, so that a table needs the travel.
+/// Returns whether a term goes on and on along its axis, so that a table needs the travel.
 fn needs_travel(effect: &Effect) -> bool {
     effect.reads().contains(&Input::OwnPosition) && effect.table().is_none()
 }
 
-/// The terms that no table of a control holds, each with the reason. The constants that a term
+/// Returns the terms that no table of a control holds, each with the reason. The constants that a term
 /// corrects are none of them: they are in the machine already.
 pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(String, String)> {
     let mut left_out = Vec::new();
@@ -211,14 +211,14 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
     left_out
 }
 
-/// Whether it adds a function of two positions and of nothing else.
+/// Returns whether it adds a function of two positions and of nothing else.
 fn is_of_two_axes(effect: &Effect) -> bool {
     let reads = effect.reads();
     let is_position = |input: &Input<'_>| matches!(input, Input::Position(_) | Input::OwnPosition);
     reads.len() == 2 && reads.iter().all(is_position)
 }
 
-/// Whether it adds a function of another axis's position alone.
+/// Returns whether it adds a function of another axis's position alone.
 fn is_across(effect: &Effect) -> bool {
     matches!(effect.reads()[..], [Input::Position(_)])
 }
@@ -240,7 +240,7 @@ impl<'m> Cross<'m> {
         Self { error, along, splines: Vec::new(), angles: Vec::new(), constant_um: 0.0 }
     }
 
-    /// The sections of the machine file that it comes from.
+    /// Returns the sections of the machine file that it comes from.
     pub fn section(&self) -> String {
         let splines = self.splines.iter().map(|(name, _)| name.clone());
         splines
@@ -279,7 +279,7 @@ impl<'m> Cross<'m> {
         knots
     }
 
-    /// Whether it bends between its ends.
+    /// Returns whether it bends between its ends.
     pub fn is_curved(&self) -> bool {
         !self.splines.is_empty()
     }
@@ -305,7 +305,7 @@ impl<'m> Cross<'m> {
     }
 }
 
-/// Every drive that has an error, X before Y before Z and the first before the second.
+/// Returns every drive that has an error, X before Y before Z and the first before the second.
 pub(crate) fn drives<'m>(machine: &'m Machine, options: &Options) -> Vec<Drive<'m>> {
     let mut drives = Vec::new();
     for axis in LinearAxis::ALL {
@@ -339,7 +339,7 @@ pub(crate) fn drives<'m>(machine: &'m Machine, options: &Options) -> Vec<Drive<'
     drives
 }
 
-/// Every pair of axes of which one is in error along the other.
+/// Returns every pair of axes of which one is in error along the other.
 pub(crate) fn crosses(machine: &Machine) -> Vec<Cross<'_>> {
     let mut crosses: Vec<Cross<'_>> = Vec::new();
     for curve in &machine.straightness {
@@ -372,7 +372,7 @@ pub(crate) fn crosses(machine: &Machine) -> Vec<Cross<'_>> {
     crosses
 }
 
-/// The pair in the list, put there if it is not.
+/// Returns the pair in the list, put there if it is not.
 fn pair<'c, 'm>(
     crosses: &'c mut Vec<Cross<'m>>,
     error: LinearAxis,
@@ -386,7 +386,7 @@ fn pair<'c, 'm>(
     &mut crosses[index]
 }
 
-/// The travel of `axis`: as it is given, else as far as tables and knots reach.
+/// Returns the travel of `axis`: as it is given, else as far as tables and knots reach.
 pub(crate) fn travel_mm(
     machine: &Machine,
     options: &Options,

@@ -101,7 +101,7 @@ impl Points {
         self.negative + self.positive
     }
 
-    /// The ends of all sections, one more than there are sections.
+    /// Returns the ends of all sections, one more than there are sections.
     fn positions_mm(&self) -> Vec<f64> {
         (0..=self.sections())
             .map(|k| self.reference_mm + self.spacing_mm * (k as f64 - self.negative as f64))

@@ -18,7 +18,7 @@ use crate::report::{Approach, Difference};
 /// So many positions at least are compared in each direction.
 const PROBES: usize = 4000;
 
-/// The fewest of the rows `x` whose straight lines stay within `tolerance` of every column, or
+/// Returns the fewest of the rows `x` whose straight lines stay within `tolerance` of every column, or
 /// `most` of them if that takes more; of all choices of so many rows the one that stays nearest.
 /// Gives the rows, and how far the lines are off at most.
 pub(crate) fn best_rows(
@@ -60,7 +60,7 @@ pub(crate) fn best_rows(
     (best, enough)
 }
 
-/// The fewest rows, the first and the last among them, between which the lines stay within `epsilon`.
+/// Returns the fewest rows, the first and the last among them, between which the lines stay within `epsilon`.
 fn fewest(x: &[f64], columns: &[Vec<f64>], epsilon: f64) -> Vec<usize> {
     let mut steps = vec![usize::MAX; x.len()];
     let mut from = vec![0; x.len()];
@@ -120,7 +120,7 @@ impl Grid {
         (0..self.points).map(|index| self.at_mm(index)).collect()
     }
 
-    /// The fewest points over `range_mm` whose straight lines stay within `tolerance_um` of
+    /// Returns the fewest points over `range_mm` whose straight lines stay within `tolerance_um` of
     /// `error_um`, or `most` points, whichever is less. The step is a whole number of
     /// `resolution_mm`, so the last point may lie a little beyond the range.
     pub fn over(
@@ -188,7 +188,7 @@ pub(crate) fn probes_mm(range_mm: (f64, f64), special_mm: &[f64], beyond: bool) 
     at
 }
 
-/// The largest of correction plus error, both in µm: what is left on the machine.
+/// Returns the largest of correction plus error, both in µm: what is left on the machine.
 pub(crate) fn largest_difference(
     probes_mm: &[f64],
     error_um: impl Fn(f64, Approach) -> f64,

@@ -91,7 +91,7 @@ pub fn read(text: &str) -> Result<Compensation, String> {
 }
 
 impl Compensation {
-    /// What the control adds to the command of the axis of `column`, in µm; 0 without this column.
+    /// Returns what the control adds to the command of the axis of `column`, in µm; 0 without this column.
     #[must_use]
     pub fn correction_um(&self, column: &str, position_mm: f64) -> f64 {
         let curve = self.columns.iter().position(|name| name == column).map(|at| &self.curves[at]);
@@ -250,7 +250,7 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
     export.files.push(File { name, text });
 }
 
-/// The positions among which the entries are chosen: every point of the axis's table, and the
+/// Returns the positions among which the entries are chosen: every point of the axis's table, and the
 /// curves in small parts with all their knots. Rounded as they are written, so that the value is
 /// taken where the control puts it.
 fn candidates_mm(machine: &Machine, options: &Options, of: &Moving<'_>) -> Vec<f64> {

@@ -79,7 +79,7 @@ pub enum Units {
 }
 
 impl Units {
-    /// How many millimetres one of it is.
+    /// Returns how many millimetres one of it is.
     #[must_use]
     pub fn mm(self) -> f64 {
         match self {

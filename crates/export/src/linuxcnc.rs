@@ -67,7 +67,7 @@ pub fn read(text: &str) -> Result<Compensation, String> {
 }
 
 impl Compensation {
-    /// What is added to the joint's command, in machine units.
+    /// Returns what is added to the joint's command, in machine units.
     #[must_use]
     pub fn trim(&self, position: f64, approach: Approach) -> f64 {
         match approach {

@@ -120,13 +120,13 @@ impl Report {
         self.notes.push(note.into());
     }
 
-    /// Whether the control holds the whole model: nothing was left out, and nothing lost but its rounding.
+    /// Returns whether the control holds the whole model: nothing was left out, and nothing lost but its rounding.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.left_out.is_empty() && self.tables.iter().all(|table| table.loss.is_none())
     }
 
-    /// The largest difference of all tables, in µm.
+    /// Returns the largest difference of all tables, in µm.
     #[must_use]
     pub fn largest_um(&self) -> f64 {
         self.tables.iter().map(|table| table.largest.um).fold(0.0, f64::max)

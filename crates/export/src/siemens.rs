@@ -55,7 +55,7 @@ fn decimals(units: Units) -> usize {
     }
 }
 
-/// The machine axis of a drive: AX1, AX2, AX3 for X, Y, Z, then the second drives.
+/// Returns the machine axis of a drive: AX1, AX2, AX3 for X, Y, Z, then the second drives.
 fn machine_axis(machine: &Machine, axis: LinearAxis, is_second: bool) -> String {
     if !is_second {
         return format!("AX{}", axis.index() + 1);

@@ -36,7 +36,7 @@ impl Random {
         self.next() & 1 == 1
     }
 
-    /// A walk of so many values, in hundredths.
+    /// Returns a walk of so many values, in hundredths.
     fn walk(&mut self, count: usize, step: f64) -> Vec<f64> {
         let mut at = self.between(-5.0, 5.0);
         (0..count)
@@ -131,7 +131,7 @@ fn positions(first: f64, last: f64) -> impl Iterator<Item = f64> {
     (0..=1777).map(move |k| first + (last - first) * f64::from(k) / 1777.0)
 }
 
-/// The error of one drive, from the model's functions alone.
+/// Returns the error of one drive, from the model's functions alone.
 fn drive_um(axis: &AxisModel, pitch: Option<&Pitch>, mm: f64, approach: Approach) -> f64 {
     let direction = approach.sign();
     pitch.map_or(0.0, |pitch| pitch_um(pitch, mm, direction))
@@ -147,7 +147,7 @@ fn cross_um(machine: &Machine, error: LinearAxis, along: LinearAxis, mm: f64) ->
         + angles.map(|angle| squareness_um(angle, mm)).sum::<f64>()
 }
 
-/// Every drive: its name, its axis, its table.
+/// Returns every drive: its name, its axis, its table.
 fn drives(machine: &Machine) -> Vec<(String, &AxisModel, Option<&Pitch>)> {
     let mut all = Vec::new();
     for axis in LinearAxis::ALL {

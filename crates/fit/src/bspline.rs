@@ -28,7 +28,7 @@ pub type Weights = [f64; MOST_ORDER];
 /// Below this [sine](Banded::least_sine) the coefficients are noise of the arithmetic.
 const SINGULAR: f64 = 1e-10;
 
-/// The knots of a clamped spline from `first` to `last` with `inner` (rising) between them.
+/// Returns the knots of a clamped spline from `first` to `last` with `inner` (rising) between them.
 #[must_use]
 pub fn clamped(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<f64> {
     let mut knots = vec![first; order];
@@ -37,13 +37,13 @@ pub fn clamped(order: usize, first: f64, inner: &[f64], last: f64) -> Vec<f64> {
     knots
 }
 
-/// The knot span that holds `x`: the largest s of order−1…n−1 with `knots[s] <= x`.
+/// Returns the knot span that holds `x`: the largest s of order−1…n−1 with `knots[s] <= x`.
 fn span(knots: &[f64], order: usize, x: f64) -> usize {
     let count = knots.len() - order;
     knots.partition_point(|&knot| knot <= x).saturating_sub(1).clamp(order - 1, count - 1)
 }
 
-/// The first basis function that is not zero at `x`, and the values of it and the `order − 1`
+/// Returns the first basis function that is not zero at `x`, and the values of it and the `order − 1`
 /// after it. Outside the knots the functions of the end span are continued.
 ///
 /// ```
@@ -78,7 +78,7 @@ fn basis_in(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, Weights
     (span + 1 - order, weights)
 }
 
-/// The value of a spline and of its first two derivatives at `x`: µm, µm/mm, µm/mm².
+/// Returns the value of a spline and of its first two derivatives at `x`: µm, µm/mm, µm/mm².
 ///
 /// # Panics
 /// The spline breaks the rules of [`BSpline::check`].
@@ -107,7 +107,7 @@ pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
     result
 }
 
-/// The largest absolute slope in µm/mm and curvature in µm/mm², found at `per_span` places of each
+/// Returns the largest absolute slope in µm/mm and curvature in µm/mm², found at `per_span` places of each
 /// knot span with its ends.
 #[must_use]
 pub fn steepest(spline: &BSpline, per_span: usize) -> (f64, f64) {
@@ -125,7 +125,7 @@ pub fn steepest(spline: &BSpline, per_span: usize) -> (f64, f64) {
     (slope, curvature)
 }
 
-/// Whether points at `x` (rising) determine every coefficient: each basis function has a point of
+/// Returns whether points at `x` (rising) determine every coefficient: each basis function has a point of
 /// its own within its support, in order (Schoenberg and Whitney).
 #[must_use]
 pub fn is_determined(knots: &[f64], order: usize, mut x: impl Iterator<Item = f64>) -> bool {
@@ -181,7 +181,7 @@ impl Banded {
         }
     }
 
-    /// How well the observations determine each coefficient, 0 (not at all) to 1: the least sine
+    /// Returns how well the observations determine each coefficient, 0 (not at all) to 1: the least sine
     /// of the angle between a column of the design matrix and all columns before it.
     #[must_use]
     pub fn least_sine(&self) -> f64 {
@@ -193,7 +193,7 @@ impl Banded {
         (0..self.r.len()).map(sine).fold(1.0, f64::min)
     }
 
-    /// The coefficients for right-hand side `side`; `None` where they are not determined.
+    /// Returns the coefficients for right-hand side `side`; `None` where they are not determined.
     #[must_use]
     pub fn solve(&self, side: usize) -> Option<Vec<f64>> {
         if self.least_sine() < SINGULAR {
@@ -209,7 +209,7 @@ impl Banded {
         Some(solution)
     }
 
-    /// The variance of the fitted curve where the basis is `weights` from `first` on, for
+    /// Returns the variance of the fitted curve where the basis is `weights` from `first` on, for
     /// observations of unit weight and variance: |R⁻ᵀ·w|².
     #[must_use]
     pub fn variance(&self, first: usize, weights: &Weights) -> f64 {
@@ -244,7 +244,7 @@ pub struct InKnots {
     pub triangle: Banded,
 }
 
-/// The spline of `order` in `knots` that lies nearest to the points: x rising, weights positive.
+/// Returns the spline of `order` in `knots` that lies nearest to the points: x rising, weights positive.
 ///
 /// `None` where the points do not determine it (the condition of Schoenberg and Whitney is broken,
 /// or nearly).

@@ -203,7 +203,7 @@ fn by_temperature(
     Ok(report)
 }
 
-/// The column of the temperature that is wanted, else the only one.
+/// Returns the column of the temperature that is wanted, else the only one.
 pub(crate) fn temperature_column(
     rows: &Rows<'_>,
     wanted: Option<String>,
@@ -323,7 +323,7 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
     }
 }
 
-/// A line above the section.
+/// Returns a line above the section.
 pub(crate) fn summary(report: &Report) -> String {
     let rms = |spread: Option<Spread>| {
         spread.map_or("not known".to_string(), |spread| format!("{:.3} µm RMS", spread.rms_um))

@@ -149,7 +149,7 @@ impl fmt::Display for Iso230Error {
 impl Error for Iso230Error {}
 
 impl Iso230 {
-    /// The figures of an axis measured at `targets`.
+    /// Returns the figures of an axis measured at `targets`.
     ///
     /// ```
     /// use trueup_fit::iso230::{Iso230, Target};
@@ -271,7 +271,7 @@ fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The largest upper end minus the smallest lower end.
+/// Returns the largest upper end minus the smallest lower end.
 fn range(ends: impl Iterator<Item = [f64; 2]>) -> f64 {
     let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), ends| {
         (low.min(ends[0]), high.max(ends[1]))

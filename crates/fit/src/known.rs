@@ -36,14 +36,14 @@ pub struct Known {
 }
 
 impl Known {
-    /// Whether a row is known at all.
+    /// Returns whether a row is known at all.
     #[must_use]
     pub fn is_usable(&self) -> bool {
         self.um.iter().any(|um| !um.is_nan())
     }
 }
 
-/// What `machine` says of the error of the axis that is fitted, for each row of `run`; `None` where
+/// Returns what `machine` says of the error of the axis that is fitted, for each row of `run`; `None` where
 /// there is no other section that says anything.
 ///
 /// # Errors

@@ -93,7 +93,7 @@ impl<'a> Lagged<'a> {
         }
     }
 
-    /// The columns at `lag_s`. No more than these and one more stand in memory.
+    /// Returns the columns at `lag_s`. No more than these and one more stand in memory.
     pub(crate) fn columns(&self, lag_s: f64) -> Vec<Vec<f64>> {
         let mut columns = vec![vec![0.0; self.temperature_c.len()]; self.terms.len()];
         self.fill(lag_s, &mut columns);
@@ -115,7 +115,7 @@ impl<'a> Lagged<'a> {
         }
     }
 
-    /// The best fit, with a lag if it is worth it; `None` where the columns do not decide one.
+    /// Returns the best fit, with a lag if it is worth it; `None` where the columns do not decide one.
     pub(crate) fn fit(&self, y: &[f64], groups: Option<&[usize]>) -> Option<Fitted> {
         let columns = self.columns(0.0);
         let linear = rows::solve(&columns, y, |_| true)?;
@@ -242,7 +242,7 @@ impl Fitted {
         self.linear.half_width(at + usize::from(self.lag_half_width.is_some()))
     }
 
-    /// The same of a function of the coefficients with this gradient.
+    /// Returns the same of a function of the coefficients with this gradient.
     pub(crate) fn half_width_of(&self, gradient: &[f64]) -> f64 {
         let lag = if self.lag_half_width.is_some() { vec![0.0] } else { Vec::new() };
         self.linear.half_width_of(&[&lag, gradient].concat())
@@ -255,7 +255,7 @@ impl Fitted {
         }
     }
 
-    /// The coefficients alone, to evaluate the columns with.
+    /// Returns the coefficients alone, to evaluate the columns with.
     fn linear_part(&self) -> Solution {
         let mut linear = self.linear.clone();
         linear.coefficients.clone_from(&self.coefficients);

@@ -133,7 +133,7 @@ pub struct PitchFit {
     pub iso230: Option<Iso230>,
 }
 
-/// The table of `axis` from the columns `<axis>_mm`, `dir_<axis>`, `measured_d<axis>_um` and, where
+/// Returns the table of `axis` from the columns `<axis>_mm`, `dir_<axis>`, `measured_d<axis>_um` and, where
 /// it is there, `run`.
 ///
 /// # Errors
@@ -228,7 +228,7 @@ fn check_extent(
 /// What a user may ask for.
 const LARGEST: usize = 4096;
 
-/// The corrections to try, from the simplest on; the first two are none.
+/// Returns the corrections to try, from the simplest on; the first two are none.
 fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
     let mut laws = vec![Law::Nothing, Law::Constant];
     let both = readings.has_way() == [true; 2];
@@ -254,7 +254,7 @@ fn is_one_pass(readings: &Readings, decision: &Decision) -> bool {
         && decision.taken == Err(repeats::Refusal::TooFew)
 }
 
-/// The decision that `trueup diagnose` takes as well.
+/// Returns the decision that `trueup diagnose` takes as well.
 fn decision(readings: &Readings, laws: &[Law]) -> Decision {
     let laws: Vec<repeats::Law> = laws.iter().filter_map(|law| law.table()).collect();
     let none = vec![false; readings.list.len()];

@@ -46,7 +46,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// An empty report of the fit `kind` on `column`.
+    /// Returns an empty report of the fit `kind` on `column`.
     #[must_use]
     pub fn new(kind: &'static str, column: impl Into<String>) -> Self {
         Self {
@@ -69,7 +69,7 @@ impl Report {
         }
     }
 
-    /// The parameter `name`, if the fit has it.
+    /// Returns the parameter `name`, if the fit has it.
     #[must_use]
     pub fn parameter(&self, name: &str) -> Option<&Parameter> {
         self.parameters.iter().find(|parameter| parameter.name == name)
@@ -91,7 +91,7 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// A fitted constant, `half_width` from its value to either end of the interval.
+    /// Returns a fitted constant, `half_width` from its value to either end of the interval.
     #[must_use]
     pub fn fitted(name: impl Into<String>, value: f64, half_width: f64) -> Self {
         let ci95 = Some([value - half_width, value + half_width]);
@@ -110,7 +110,7 @@ impl Parameter {
         self.is_amplitude && self.ci95.is_some_and(|[low, high]| low <= 0.0 && 0.0 <= high)
     }
 
-    /// A constant that was set, by the user or by convention, and not fitted.
+    /// Returns a constant that was set, by the user or by convention, and not fitted.
     #[must_use]
     pub fn set(name: impl Into<String>, value: f64) -> Self {
         Self { name: name.into(), value, ci95: None, is_amplitude: false }
@@ -161,19 +161,19 @@ pub enum FactValue {
 }
 
 impl Fact {
-    /// A figure of one number.
+    /// Returns a figure of one number.
     #[must_use]
     pub fn number(name: impl Into<String>, value: f64) -> Self {
         Self { name: name.into(), value: FactValue::Number(value) }
     }
 
-    /// A figure of several numbers.
+    /// Returns a figure of several numbers.
     #[must_use]
     pub fn numbers(name: impl Into<String>, values: Vec<f64>) -> Self {
         Self { name: name.into(), value: FactValue::Numbers(values) }
     }
 
-    /// A figure in words.
+    /// Returns a figure in words.
     #[must_use]
     pub fn text(name: impl Into<String>, text: impl Into<String>) -> Self {
         Self { name: name.into(), value: FactValue::Text(text.into()) }
@@ -225,7 +225,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Whether the constants are fit for use.
+    /// Returns whether the constants are fit for use.
     #[must_use]
     pub fn is_fitted(&self) -> bool {
         matches!(self, Self::Fitted)

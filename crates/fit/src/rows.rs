@@ -31,7 +31,7 @@ impl<'r> Rows<'r> {
         self.runs.iter().map(|run| run.rows()).sum()
     }
 
-    /// The column `name` of all runs.
+    /// Returns the column `name` of all runs.
     ///
     /// # Errors
     /// A run has no such column, or no row of any has a value in it.
@@ -51,7 +51,7 @@ impl<'r> Rows<'r> {
         Ok(values)
     }
 
-    /// The column `name` of all runs, `None` where no run has it.
+    /// Returns the column `name` of all runs, `None` where no run has it.
     ///
     /// # Errors
     /// Some runs have it and others have not.
@@ -62,7 +62,7 @@ impl<'r> Rows<'r> {
         self.joined(name).map(Some)
     }
 
-    /// The columns of temperatures that every run has.
+    /// Returns the columns of temperatures that every run has.
     pub(crate) fn temperatures(&self) -> Vec<&'r str> {
         let Some((first, rest)) = self.runs.split_first() else { return Vec::new() };
         let names = first.columns().iter().map(|column| column.name.as_str());
@@ -87,7 +87,7 @@ impl<'r> Rows<'r> {
         run.place(row, column)
     }
 
-    /// The runs as a whole break a rule.
+    /// Returns the runs as a whole break a rule.
     pub(crate) fn bad(&self, rule: impl Into<String>) -> BadInput {
         BadInput::new(Location::start_of(self.runs[0].path()), rule)
     }
@@ -112,12 +112,12 @@ impl<'r> Rows<'r> {
         starts
     }
 
-    /// The file of each row, counted from 0.
+    /// Returns the file of each row, counted from 0.
     pub(crate) fn files(&self) -> Vec<usize> {
         self.runs.iter().enumerate().flat_map(|(file, run)| vec![file; run.rows()]).collect()
     }
 
-    /// The file of each row, else its `run`, counted from 0; `None` where there is but one.
+    /// Returns the file of each row, else its `run`, counted from 0; `None` where there is but one.
     pub(crate) fn runs_of_rows(&self) -> Option<Vec<usize>> {
         if self.runs.len() > 1 {
             return Some(self.files());
@@ -134,7 +134,7 @@ impl<'r> Rows<'r> {
         (known.len() > 1).then_some(groups)
     }
 
-    /// The group that each row is left out with, and how to say it: whole files, else whole `run`s,
+    /// Returns the group that each row is left out with, and how to say it: whole files, else whole `run`s,
     /// else blocks of time, else (`None`) each row in turn.
     pub(crate) fn groups(&self, used: &[bool]) -> (Option<Vec<usize>>, String) {
         if let Some(groups) = self.runs_of_rows() {
@@ -168,7 +168,7 @@ impl<'r> Rows<'r> {
     }
 }
 
-/// How much wider an interval is than independent residuals make it: √((1 + ρ)/(1 − ρ)), ρ the
+/// Returns how much wider an interval is than independent residuals make it: √((1 + ρ)/(1 − ρ)), ρ the
 /// correlation of neighbours in time (an autoregressive process of first order); at least 1.
 pub(crate) fn widening(residuals: &[f64]) -> f64 {
     let present: Vec<f64> = residuals.iter().copied().filter(|r| !r.is_nan()).collect();

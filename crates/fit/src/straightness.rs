@@ -262,7 +262,7 @@ impl fmt::Display for FitError {
 
 impl Error for FitError {}
 
-/// The curve through readings of `error_um` at positions `along_mm`, in any order; readings at
+/// Returns the curve through readings of `error_um` at positions `along_mm`, in any order; readings at
 /// equal positions are repeats.
 ///
 /// # Errors
@@ -305,7 +305,7 @@ pub fn fit(along_mm: &[f64], error_um: &[f64], options: &Options) -> Result<Fit,
 }
 
 impl Fit {
-    /// The same data by the paper's way, by least squares, by a polynomial of degree 7 and by
+    /// Returns the same data by the paper's way, by least squares, by a polynomial of degree 7 and by
     /// straight lines, each also on positions that it has not seen.
     #[must_use]
     pub fn compare(&self) -> Vec<Compared> {
@@ -337,7 +337,7 @@ impl Fit {
     }
 }
 
-/// The noise of one reading, and the largest standard error of the curve.
+/// Returns the noise of one reading, and the largest standard error of the curve.
 fn noise_of(sites: &Sites, found: &Found) -> (Option<Noise>, Option<f64>) {
     /// Fewer degrees of freedom than that say little of a standard deviation.
     const ENOUGH: usize = 5;

@@ -224,14 +224,14 @@ impl Data {
         Ok((data, report))
     }
 
-    /// Whether the positions that are used differ.
+    /// Returns whether the positions that are used differ.
     fn positions_differ(&self) -> bool {
         let mut used = self.arm_m.iter().zip(&self.y).filter(|(_, y)| !y.is_nan());
         let first = used.next().map(|(arm, _)| *arm);
         used.any(|(arm, _)| Some(*arm) != first)
     }
 
-    /// The mode that is wanted, else the simplest that left-out rows do not clearly disfavour.
+    /// Returns the mode that is wanted, else the simplest that left-out rows do not clearly disfavour.
     fn choose_mode(
         &self,
         rows: &Rows<'_>,
@@ -303,7 +303,7 @@ impl Data {
     }
 }
 
-/// The columns of a mode, K₀'s first.
+/// Returns the columns of a mode, K₀'s first.
 fn terms(mode: ThermalMode) -> &'static [Term] {
     match mode {
         ThermalMode::Constant => &[Term::Constant, Term::Warm],
@@ -330,7 +330,7 @@ impl Law<'_> {
         (self.mean_c - height / slope, self.wider * self.fitted.half_width_of(&gradient))
     }
 
-    /// The machine file's constants, reported; a table of two rows where one T₀ cannot serve.
+    /// Returns the machine file's constants, reported; a table of two rows where one T₀ cannot serve.
     fn constants(&self, data: &Data, report: &mut Report) -> Thermal {
         let c = &self.fitted.coefficients;
         let half = |at: usize| self.wider * self.fitted.half_width(at);
@@ -427,7 +427,7 @@ fn common_reference(data: &Data, lag_s: f64, start_c: f64) -> Option<(f64, f64, 
     Some((reference_c, a, b, [half(0), half(1), half(2)]))
 }
 
-/// The two lines between the coldest and the warmest temperature.
+/// Returns the two lines between the coldest and the warmest temperature.
 fn two_rows(data: &Data, law: &Law<'_>, c: &[f64]) -> Vec<ThermalRow> {
     let lagged_c = data.lagged_c(law.fitted.lag_s);
     let used = || lagged_c.iter().zip(&data.y).filter(|(_, y)| !y.is_nan()).map(|(t, _)| *t);

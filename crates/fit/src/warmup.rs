@@ -156,7 +156,7 @@ impl Span {
     }
 }
 
-/// The speeds at which it ran, rising, those within a hair of each other as one: its largest.
+/// Returns the speeds at which it ran, rising, those within a hair of each other as one: its largest.
 fn speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
     let mut all: Vec<f64> = spindle_rpm
         .into_iter()
@@ -176,7 +176,7 @@ fn speeds(spindle_rpm: Option<&[f64]>, y: &[f64]) -> Vec<f64> {
     speeds
 }
 
-/// Whether the record has enough of a spindle that stands after it has run.
+/// Returns whether the record has enough of a spindle that stands after it has run.
 fn cools(record: &Record<'_>, y: &[f64]) -> bool {
     let Some(rpm) = record.spindle_rpm else { return false };
     let (mut has_run, mut rows) = (false, 0);
@@ -187,7 +187,7 @@ fn cools(record: &Record<'_>, y: &[f64]) -> bool {
     rows >= 5
 }
 
-/// The simplest shape that no further constant makes clearly better: of the lag, the end of the
+/// Returns the simplest shape that no further constant makes clearly better: of the lag, the end of the
 /// growth and the zero of the instrument the one that gains most is taken first, as each of them
 /// can pass for another as long as that is missing.
 fn choose<'a>(record: Record<'a>, base: Free, y: &[f64], span: &Span) -> Option<(Shape<'a>, Fit)> {
@@ -221,7 +221,7 @@ fn choose<'a>(record: Record<'a>, base: Free, y: &[f64], span: &Span) -> Option<
     }
 }
 
-/// Whether `more` gains more than chance does, its residuals' correlation considered.
+/// Returns whether `more` gains more than chance does, its residuals' correlation considered.
 fn is_better(less: &Fit, more: &Fit) -> bool {
     let further = more.parameters.len().saturating_sub(less.parameters.len()).max(1) as f64;
     let rows = more.residuals.iter().filter(|residual| !residual.is_nan()).count();
@@ -233,7 +233,7 @@ fn is_better(less: &Fit, more: &Fit) -> bool {
     gained > variance * t_quantile(1.0 - (1.0 - SURE) / (2.0 * further), degrees).powi(2)
 }
 
-/// The machine file's constants, reported.
+/// Returns the machine file's constants, reported.
 fn describe(report: &mut Report, shape: &Shape<'_>, fit: &Fit, span: &Span, wider: f64) -> Warmup {
     let constants = shape.constants(&fit.parameters);
     let [tau, lag, ends, speed, cool] = shape.places();

@@ -41,7 +41,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// A hub whose clock starts now. Everything ends when `stop` is set.
+    /// Returns a hub whose clock starts now. Everything ends when `stop` is set.
     #[must_use]
     pub fn new(stop: Arc<AtomicBool>, pinned: Pinned) -> Self {
         Self {
@@ -52,24 +52,24 @@ impl Shared {
         }
     }
 
-    /// The time of the hub's clock.
+    /// Returns the time of the hub's clock.
     #[must_use]
     pub fn now(&self) -> Duration {
         self.start.elapsed()
     }
 
-    /// The hub, for a moment. A thread that has panicked with it leaves it as it was.
+    /// Returns the hub, for a moment. A thread that has panicked with it leaves it as it was.
     pub fn hub(&self) -> MutexGuard<'_, Hub> {
         self.hub.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// How the line to the bridge is.
+    /// Returns how the line to the bridge is.
     #[must_use]
     pub fn line(&self) -> LineState {
         self.line.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Whether it is time to end.
+    /// Returns whether it is time to end.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.stop.load(Ordering::Relaxed)

@@ -20,7 +20,7 @@ struct Course {
 }
 
 impl Course {
-    /// The counter of the next frame, if it is due.
+    /// Returns the counter of the next frame, if it is due.
     fn due(&mut self, now: Duration, period_ms: u32, at_once: bool) -> Option<u8> {
         let period = Duration::from_millis(period_ms.into());
         let waits = self.sent.is_some_and(|sent| now.saturating_sub(sent) < period);
@@ -78,7 +78,7 @@ impl Speaker {
         }
     }
 
-    /// The frames that are due.
+    /// Returns the frames that are due.
     pub fn take(&mut self) -> Vec<Frame> {
         std::mem::take(&mut self.due)
     }

@@ -30,7 +30,7 @@ pub struct PlcEnd {
 pub struct End(Arc<Mutex<PlcEnd>>);
 
 impl End {
-    /// How it is; the longest write is counted anew from here.
+    /// Returns how it is; the longest write is counted anew from here.
     #[must_use]
     pub fn take(&self) -> PlcEnd {
         let mut end = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -39,7 +39,7 @@ impl End {
         now
     }
 
-    /// How it is.
+    /// Returns how it is.
     #[must_use]
     pub fn look(&self) -> PlcEnd {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -51,7 +51,7 @@ impl End {
     }
 }
 
-/// What a line says.
+/// Returns what a line says.
 #[must_use]
 pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
     let now = shared.now();

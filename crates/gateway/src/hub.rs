@@ -189,18 +189,18 @@ impl Hub {
         self.stalls = self.stalls.saturating_add(1);
     }
 
-    /// How often the line has stalled.
+    /// Returns how often the line has stalled.
     #[must_use]
     pub fn stalls(&self) -> u32 {
         self.stalls
     }
 
-    /// What is to be told of the bridge's calibration since the last call.
+    /// Returns what is to be told of the bridge's calibration since the last call.
     pub fn news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }
 
-    /// What may be engaged.
+    /// Returns what may be engaged.
     #[must_use]
     pub fn pinned(&self) -> &Pinned {
         &self.pinned
@@ -272,13 +272,13 @@ impl Hub {
         self.expects_slopes = Some((now, false));
     }
 
-    /// The input block with slopes.
+    /// Returns the input block with slopes.
     #[must_use]
     pub fn input_with_slopes(&self) -> [u16; slopes::LEN] {
         self.with_slopes
     }
 
-    /// The newest valid pair, unless it is stale.
+    /// Returns the newest valid pair, unless it is stale.
     fn fresh(&self, now: Duration) -> Option<&Output> {
         let (heard, output) = self.last.as_ref()?;
         (now.saturating_sub(*heard) <= STALE).then_some(output)
@@ -290,38 +290,38 @@ impl Hub {
         waited.saturating_add(output.age_ms.into())
     }
 
-    /// The input block.
+    /// Returns the input block.
     #[must_use]
     pub fn input(&self) -> input::Registers {
         self.registers
     }
 
-    /// What it says.
+    /// Returns what it says.
     #[must_use]
     pub fn said(&self) -> &Input {
         &self.input
     }
 
-    /// Whether the bridge is heard.
+    /// Returns whether the bridge is heard.
     #[must_use]
     pub fn hears_bridge(&self, now: Duration) -> bool {
         self.fresh(now).is_some()
     }
 
-    /// What has arrived from the bridge, in frames.
+    /// Returns what has arrived from the bridge, in frames.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let counters = self.offsets.counters();
         Counters { malformed: counters.malformed.saturating_add(self.malformed_lines), ..counters }
     }
 
-    /// The holding block that was last used.
+    /// Returns the holding block that was last used.
     #[must_use]
     pub fn holding(&self) -> cnc::Registers {
         self.holding
     }
 
-    /// What the PLC last said, while that is not older than [`MASTER_LASTS`].
+    /// Returns what the PLC last said, while that is not older than [`MASTER_LASTS`].
     #[must_use]
     pub fn control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;
@@ -383,7 +383,7 @@ impl Hub {
         }
     }
 
-    /// Whether a whole block may have waited in the line since the one before it. A slow PLC has a slow pace.
+    /// Returns whether a whole block may have waited in the line since the one before it. A slow PLC has a slow pace.
     fn may_be_old(&mut self, now: Duration, master: Master) -> bool {
         let before = self.arrived.replace((master, now));
         let Some((_, at)) = before.filter(|(of, _)| *of == master) else {
@@ -416,7 +416,7 @@ impl Hub {
         }
     }
 
-    /// The frames that are due for the bridge.
+    /// Returns the frames that are due for the bridge.
     pub fn frames(&mut self) -> Vec<Frame> {
         self.speaker.take()
     }

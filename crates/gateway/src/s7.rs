@@ -133,7 +133,7 @@ fn exchange(
 struct Seen(Option<cnc::Registers>);
 
 impl Seen {
-    /// Whether the PLC has said this since the last look: not at the first, and not what stands there.
+    /// Returns whether the PLC has said this since the last look: not at the first, and not what stands there.
     fn is_new(&mut self, block: cnc::Registers) -> bool {
         self.0.replace(block).is_some_and(|before| before != block)
     }
@@ -152,7 +152,7 @@ pub fn once(shared: &Shared, target: &Target) -> Result<(), Error> {
     if read == written { Ok(()) } else { Err(Error::NotKept) }
 }
 
-/// The present input block.
+/// Returns the present input block.
 fn input(shared: &Shared, mode: Mode) -> Vec<u8> {
     let hub = shared.hub();
     match mode {

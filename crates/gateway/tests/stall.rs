@@ -44,7 +44,7 @@ fn listen() -> (TcpListener, u16) {
 /// The wire carries 5.24 mm at most: a minute.
 const NANOMETRES_PER_MS: i32 = 80;
 
-/// A bridge with one client at a time, whose offset on Z is its time; positions of X that come, in ms, with the
+/// Returns a bridge with one client at a time, whose offset on Z is its time; positions of X that come, in ms, with the
 /// time at which they do.
 fn bridge(start: Instant, heard: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
     let (listener, port) = listen();

@@ -100,7 +100,8 @@ impl Table<'_> {
             .into()
     }
 
-    /// The numbers of a column as they are written, NaN where one is missing; those with `unit` behind them, or none.
+    /// Returns the numbers of a column as they are written, NaN where one is missing; those with `unit` behind them, or
+    /// none.
     fn numbers(&self, at: usize, unit: Option<Unit>) -> Result<Vec<f64>, Refused> {
         let of_cell = |(row, cell): (usize, &Cell)| {
             if number::is_missing(&cell.text()) {
@@ -248,7 +249,7 @@ impl Table<'_> {
         }
     }
 
-    /// The column of dates that belongs to the times in `at`.
+    /// Returns the column of dates that belongs to the times in `at`.
     fn date_column(&self, at: usize) -> Option<usize> {
         let dates = (0..self.plans.len()).filter(|other| *other != at);
         dates.into_iter().find(|other| matches!(self.plans[*other].role, Role::DateOf))

@@ -158,7 +158,7 @@ pub fn is_foreign(bytes: &[u8], path: &Path) -> bool {
     is_of_instrument || table.is_ok_and(|table| table.columns.iter().any(is_other))
 }
 
-/// The run file as text.
+/// Returns the run file as text.
 fn written(columns: &[convert::Column], rows: usize) -> String {
     let mut text = columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(",");
     text.push('\n');
@@ -178,7 +178,7 @@ fn written(columns: &[convert::Column], rows: usize) -> String {
     text
 }
 
-/// An error of the run file at the row of the table that it came from.
+/// Returns an error of the run file at the row of the table that it came from.
 fn at_source(error: BadInput, layout: &layout::Layout) -> BadInput {
     let row = error.place.line.checked_sub(2).and_then(|at| layout.rows.get(at));
     let line = row.map_or(1, |row| row.line);

@@ -332,7 +332,7 @@ pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
     (is_pass && (way.is_some() || run.is_some())).then_some((way, run))
 }
 
-/// The words of a header: `Run 2 -` ends with a direction, `Run-2` and `Run 1-3` have a hyphen.
+/// Returns the words of a header: `Run 2 -` ends with a direction, `Run-2` and `Run 1-3` have a hyphen.
 fn words_of_pass(name: &str) -> Vec<String> {
     let name = spaced_arrows(&name.replace('\u{2212}', "-"));
     let mut all = Vec::new();

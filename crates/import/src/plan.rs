@@ -57,7 +57,7 @@ struct Draft<'l> {
     is_named: bool,
 }
 
-/// The answer that names this column: by its header, its name without the unit, its number, or its target.
+/// Returns the answer that names this column: by its header, its name without the unit, its number, or its target.
 pub(crate) fn answer_for<'a>(
     answers: &'a [(String, String)],
     at: usize,
@@ -412,7 +412,7 @@ fn role(
     Ok(Role::Number { target, unit, per_base })
 }
 
-/// The unit that a name of the run file states itself.
+/// Returns the unit that a name of the run file states itself.
 fn own_unit(target: &Target) -> Option<Unit> {
     let dimension = target.dimension?;
     match target.unit() {

@@ -114,7 +114,7 @@ fn clock_of(text: &str) -> Option<String> {
     Some(format!("{hours}:{minutes}:{seconds}"))
 }
 
-/// The size of all parts of a zip archive by its directory; 0 where there is none.
+/// Returns the size of all parts of a zip archive by its directory; 0 where there is none.
 fn unpacked(bytes: &[u8]) -> u64 {
     const ENTRY: &[u8] = b"PK\x01\x02";
     let Some(end) = bytes.windows(4).rposition(|window| window == b"PK\x05\x06") else { return 0 };

@@ -82,12 +82,12 @@ impl Bank {
             && (0.0..=ENOUGH.ln()).contains(&self.evidence)
     }
 
-    /// What is believed of the zero (in µm) and of the shares of the constants; `None`: the file as it is.
+    /// Returns what is believed of the zero (in µm) and of the shares of the constants; `None`: the file as it is.
     pub fn believed(&self) -> Option<Vec<f64>> {
         self.is_applied.then(|| self.learned.lasting())
     }
 
-    /// Half the 95 % interval of each value, by the filter that counts most.
+    /// Returns half the 95 % interval of each value, by the filter that counts most.
     pub fn half_widths(&self) -> Vec<f64> {
         self.learned.filters[self.learned.first()].half_widths()
     }
@@ -134,8 +134,8 @@ impl Bank {
         both.for_each(|filter| filter.select(from, prior));
     }
 
-    /// How many used readings they are compared by, and by how much the file as it is and what was learned have missed
-    /// them, mean magnitude in µm.
+    /// Returns how many used readings they are compared by, and by how much the file as it is and what was learned have
+    /// missed them, mean magnitude in µm.
     pub fn compared(&self) -> (usize, f64, f64) {
         let count = self.missed_um.len();
         let mean = |index: usize| {
@@ -156,7 +156,8 @@ impl Bank {
         both.for_each(|filter| filter.age(dt_s));
     }
 
-    /// A reading, where the file as it is misses by `y_um`. What became of it is said by the filter that counts most.
+    /// Returns a reading, where the file as it is misses by `y_um`. What became of it is said by the filter that counts
+    /// most.
     pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
         let learned_um: f64 = g.iter().zip(self.learned.lasting()).map(|(g, x)| g * x).sum();
         let (by_file, _) = self.file.take(g, y_um);
@@ -185,7 +186,7 @@ impl Side {
         Self { filters, weights }
     }
 
-    /// How likely it thought the reading to be, and what became of it.
+    /// Returns how likely it thought the reading to be, and what became of it.
     fn take(&mut self, g: &[f64], y_um: f64) -> (f64, Fate) {
         let forgets = 1.0 - 1.0 / COMPARED as f64;
         let before: Vec<f64> = self.weights.iter().map(|weight| weight.powf(forgets)).collect();
@@ -200,7 +201,7 @@ impl Side {
         (likelihood, fates[first])
     }
 
-    /// The mean of what lasts.
+    /// Returns the mean of what lasts.
     fn lasting(&self) -> Vec<f64> {
         let mut mean = vec![0.0; self.filters[0].lasting().len()];
         for (filter, weight) in self.filters.iter().zip(&self.weights) {
@@ -209,7 +210,7 @@ impl Side {
         mean
     }
 
-    /// The filter that counts most.
+    /// Returns the filter that counts most.
     fn first(&self) -> usize {
         let all = 0..self.weights.len();
         all.max_by(|a, b| self.weights[*a].total_cmp(&self.weights[*b])).unwrap_or(0)

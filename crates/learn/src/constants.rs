@@ -76,7 +76,7 @@ pub(crate) fn unit(key: &str) -> String {
     }
 }
 
-/// What can be learned of `quantity`, in the order of the file.
+/// Returns what can be learned of `quantity`, in the order of the file.
 pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> {
     let mut all = Vec::new();
     let mut add = |key: String, believed: f64| {
@@ -143,7 +143,7 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> 
     all
 }
 
-/// The one amplitude of a term that is added, with its key.
+/// Returns the one amplitude of a term that is added, with its key.
 fn amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
     let is_one =
         effect.stage() == Stage::Sum && effect.amplitudes() == 1 && effect.is_compensated();
@@ -284,7 +284,7 @@ impl Sensitivity {
     }
 }
 
-/// What is measured in `run`: the `wanted` quantity, or the only one.
+/// Returns what is measured in `run`: the `wanted` quantity, or the only one.
 ///
 /// # Errors
 /// It is not there, or there are several to choose from.
@@ -306,7 +306,7 @@ pub(crate) fn measured(run: &RunFile, wanted: Option<Quantity>) -> Result<Quanti
     }
 }
 
-/// The name of an axis's quantity, or the elongation.
+/// Returns the name of an axis's quantity, or the elongation.
 pub(crate) fn named(name: &str) -> Option<Quantity> {
     let axes = LinearAxis::ALL.len();
     Quantity::ALL.into_iter().take(axes + 1).find(|quantity| quantity.name() == name)

@@ -147,7 +147,7 @@ pub(crate) fn digits(number: f64) -> f64 {
     format!("{number:.2e}").parse().unwrap_or(number)
 }
 
-/// A clock in s: a date where it can only be seconds of Unix, else seconds.
+/// Returns a clock in s: a date where it can only be seconds of Unix, else seconds.
 #[must_use]
 pub fn clock(s: f64) -> String {
     const YEARS: std::ops::Range<f64> = 1e9..4e9;

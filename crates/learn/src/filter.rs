@@ -110,18 +110,18 @@ impl Filter {
             && [self.horizon_s, self.memory_s].iter().all(|time_s| *time_s > 0.0)
     }
 
-    /// The zero in µm, then shares.
+    /// Returns the zero in µm, then shares.
     pub fn lasting(&self) -> &[f64] {
         &self.x[..self.prior.len()]
     }
 
-    /// Half the 95 % interval of each value that lasts.
+    /// Returns half the 95 % interval of each value that lasts.
     pub fn half_widths(&self) -> Vec<f64> {
         let n = self.x.len();
         (0..self.prior.len()).map(|i| 1.96 * self.p[i * n + i].max(0.0).sqrt()).collect()
     }
 
-    /// How likely it thought `y_um` to be where the sensitivities are `g`: the density, by the micrometre.
+    /// Returns how likely it thought `y_um` to be where the sensitivities are `g`: the density, by the micrometre.
     pub fn likelihood(&self, g: &[f64], y_um: f64) -> f64 {
         let g = with_wander(g);
         let s = self.unknown(&g) + self.noise_um.powi(2);
@@ -265,7 +265,7 @@ impl Filter {
         Fate::Changed
     }
 
-    /// What it foresees, what wanders included.
+    /// Returns what it foresees, what wanders included.
     fn foresees(&self, g: &[f64]) -> f64 {
         g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
     }
@@ -315,7 +315,7 @@ impl Filter {
     }
 }
 
-/// What wanders is in every reading as it is.
+/// Returns what wanders is in every reading as it is.
 fn with_wander(g: &[f64]) -> Vec<f64> {
     [g, &[1.0]].concat()
 }

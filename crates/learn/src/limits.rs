@@ -44,7 +44,7 @@ impl Limits {
         (held, is_held)
     }
 
-    /// One reading's way from what is `applied` towards what is `wanted`, where it was taken at `g`.
+    /// Returns one reading's way from what is `applied` towards what is `wanted`, where it was taken at `g`.
     pub(crate) fn step(&self, applied: &[f64], wanted: &[f64], g: &[f64]) -> Vec<f64> {
         let way: Vec<f64> = wanted.iter().zip(applied).map(|(to, from)| to - from).collect();
         let um = times(g, &way).abs();
@@ -53,7 +53,7 @@ impl Limits {
     }
 }
 
-/// What values change where the sensitivities are `g`, in µm; 0 where these are not known.
+/// Returns what values change where the sensitivities are `g`, in µm; 0 where these are not known.
 pub(crate) fn times(g: &[f64], x: &[f64]) -> f64 {
     let um: f64 = g.iter().zip(x).map(|(g, x)| g * x).sum();
     if um.is_finite() { um } else { 0.0 }

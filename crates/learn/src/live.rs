@@ -104,7 +104,7 @@ fn caps(caps: LearnedCaps) -> Caps {
     }
 }
 
-/// The share and the zero in µm by which the growth differs; `told` gets what they make of it.
+/// Returns the share and the zero in µm by which the growth differs; `told` gets what they make of it.
 fn growth(told: &mut Machine, learned: &Machine) -> [f64; 2] {
     let (to, from) = (&mut told.spindle, &learned.spindle);
     let none = [0.0; 2];
@@ -144,7 +144,7 @@ fn growth(told: &mut Machine, learned: &Machine) -> [f64; 2] {
     }
 }
 
-/// The share by which the expansion of an axis differs; `told` gets what it makes of it.
+/// Returns the share by which the expansion of an axis differs; `told` gets what it makes of it.
 fn expansion(told: &mut Machine, learned: &Machine, axis: LinearAxis) -> f64 {
     let from = learned.axes[axis.index()].thermal.as_ref();
     let to = told.axes[axis.index()].thermal.as_mut();

@@ -251,7 +251,7 @@ impl Memory {
         }
     }
 
-    /// The number of the next reading.
+    /// Returns the number of the next reading.
     pub(crate) fn next(&self) -> u64 {
         self.first + self.window.len() as u64
     }
@@ -321,7 +321,7 @@ fn split(all: &str) -> HashSet<&str> {
     (0..all.len() / DIGITS).map(|n| &all[n * DIGITS..(n + 1) * DIGITS]).collect()
 }
 
-/// The lower half of a hash, in hexadecimal digits.
+/// Returns the lower half of a hash, in hexadecimal digits.
 pub(crate) fn digits(hash: u64) -> String {
     format!("{:08x}", hash & 0xffff_ffff)
 }

@@ -28,7 +28,7 @@ pub(crate) struct Reading {
     pub identity_before: u64,
 }
 
-/// The readings of `run`.
+/// Returns the readings of `run`.
 ///
 /// # Errors
 /// It measures nothing, or in no row.

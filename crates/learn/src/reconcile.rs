@@ -82,7 +82,7 @@ pub(crate) fn reconciled(
     Ok((memory, has_restarted))
 }
 
-/// The state of a machine of which nothing was read yet.
+/// Returns the state of a machine of which nothing was read yet.
 fn empty(
     machine: &Machine,
     quantity: Quantity,

@@ -9,7 +9,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nso
                        [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
                        k_um_per_c = 2.0 # the maker's\n";
 
-/// A record of readings every half hour, `um` of the temperature and the number of the reading.
+/// Returns a record of readings every half hour, `um` of the temperature and the number of the reading.
 fn record(first_s: f64, count: usize, um: impl Fn(f64, usize) -> f64) -> RunFile {
     let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
     for n in 0..count {

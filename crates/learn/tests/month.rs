@@ -59,7 +59,7 @@ struct Judged {
     harm: f64,
 }
 
-/// The months of ageing machines, and of machines without a fault.
+/// Returns the months of ageing machines, and of machines without a fault.
 fn judged(ageing: Range<u64>, healthy: Range<u64>) -> Judged {
     let all = |seeds: Range<u64>, ages: bool| -> Vec<[f64; 2]> {
         let lived = seeds.map(|seed| {

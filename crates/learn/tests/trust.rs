@@ -16,7 +16,7 @@ fn noise(seed: u64, purpose: &str, memory: f64) -> Correlated {
     Correlated::new(Stream::new(seed, purpose), 0.7, memory)
 }
 
-/// The noise as it is found from forty hours of which nothing was known before.
+/// Returns the noise as it is found from forty hours of which nothing was known before.
 fn found(seed: u64, memory: f64) -> Noise {
     let mut draws = noise(seed, "calibrated", memory);
     let um: Vec<f64> = (0..2400).map(|_| 1.3 + draws.draw()).collect();
@@ -121,7 +121,8 @@ fn a_sensor_that_leaves_its_model_is_told_with_the_measurement_to_take() {
     assert!(error.expect_err("too short").rule.contains("at least 40"));
 }
 
-/// A shop that probes twice a day, 2 µm of noise and one reading in twenty bad; from the reading `from` on `added` µm more.
+/// Returns a shop that probes twice a day, 2 µm of noise and one reading in twenty bad; from the reading `from` on
+/// `added` µm more.
 fn probings(seed: u64, count: usize, from: usize, added: f64) -> RunFile {
     let (mut probe, mut text) =
         (Stream::new(seed, "probe"), "time_s,temp_a_c,measured_elongation_um\n".to_string());

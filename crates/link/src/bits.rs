@@ -24,13 +24,13 @@ pub struct Signal {
 }
 
 impl Signal {
-    /// A signal of 0 and up. A place outside the frame does not compile: every use is a constant.
+    /// Returns a signal of 0 and up. A place outside the frame does not compile: every use is a constant.
     pub const fn unsigned(start: u8, length: u8) -> Self {
         assert!(length <= 32 && Self::is_in_frame(start, length));
         Self { start, length, signed: false }
     }
 
-    /// A signal in two's complement, as `unsigned`.
+    /// Returns a signal in two's complement, as `unsigned`.
     pub const fn signed(start: u8, length: u8) -> Self {
         assert!(length <= 32 && Self::is_in_frame(start, length));
         Self { start, length, signed: true }
@@ -40,13 +40,13 @@ impl Signal {
         1 <= length && length <= 64_u8.saturating_sub(start)
     }
 
-    /// The smallest raw value.
+    /// Returns the smallest raw value.
     #[must_use]
     pub const fn min(self) -> i32 {
         if self.signed || self.length == 32 { !self.max() } else { 0 }
     }
 
-    /// The largest raw value.
+    /// Returns the largest raw value.
     #[must_use]
     pub const fn max(self) -> i32 {
         let is_pattern = self.signed || self.length == 32;

@@ -44,12 +44,12 @@ pub fn protect(data_id: u16, counter: u8, data: &mut [u8; 8]) {
     data[1] = high;
 }
 
-/// The CRC over the bytes after the CRC field, and the data ID.
+/// Returns the CRC over the bytes after the CRC field, and the data ID.
 fn crc(data_id: u16, covered: &[u8]) -> u16 {
     crc_of(data_id, [covered])
 }
 
-/// The CRC of the profile over these parts, one behind the other, and the data ID.
+/// Returns the CRC of the profile over these parts, one behind the other, and the data ID.
 pub fn crc_of(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -> u16 {
     let mut digest = CRC.digest();
     parts.into_iter().for_each(|part| digest.update(part.as_ref()));
@@ -57,7 +57,7 @@ pub fn crc_of(data_id: u16, parts: impl IntoIterator<Item = impl AsRef<[u8]>>) -
     digest.finalize()
 }
 
-/// Whether a frame is whole and was sent under its identifier, whatever its counter.
+/// Returns whether a frame is whole and was sent under its identifier, whatever its counter.
 #[must_use]
 pub fn is_whole(frame: &Frame) -> bool {
     matches!(frame.payload(), &[low, high, ref covered @ ..]
@@ -72,13 +72,13 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// A checker that has seen no frame yet; `data_id` is the CAN identifier of its frames.
+    /// Returns a checker that has seen no frame yet; `data_id` is the CAN identifier of its frames.
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
         Self { data_id, last: None }
     }
 
-    /// How many frames were lost before this one, 0…[`MAX_DELTA`] − 1, if this one is to be used.
+    /// Returns how many frames were lost before this one, 0…[`MAX_DELTA`] − 1, if this one is to be used.
     ///
     /// The first whole frame sets the counter, whatever it is.
     ///

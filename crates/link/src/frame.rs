@@ -27,7 +27,7 @@ impl Frame {
     /// The most bytes that a frame carries.
     pub const MAX_LEN: usize = 8;
 
-    /// A frame with the identifier `id`, 0…0x7FF, and 0…8 bytes of payload.
+    /// Returns a frame with the identifier `id`, 0…0x7FF, and 0…8 bytes of payload.
     ///
     /// # Errors
     /// [`FrameError`] with the identifier or the length that is too large.
@@ -45,7 +45,7 @@ impl Frame {
         Ok(Self { id, len, data })
     }
 
-    /// A frame of 8 bytes with an identifier of [`crate::layout`], 0…0x7FF. A larger one stops a
+    /// Returns a frame of 8 bytes with an identifier of [`crate::layout`], 0…0x7FF. A larger one stops a
     /// build that has debug assertions.
     #[must_use]
     pub const fn full(id: u16, data: [u8; Self::MAX_LEN]) -> Self {
@@ -59,31 +59,31 @@ impl Frame {
         Self { id, len: 1, data: [byte, 0, 0, 0, 0, 0, 0, 0] }
     }
 
-    /// The identifier, 0…0x7FF.
+    /// Returns the identifier, 0…0x7FF.
     #[must_use]
     pub const fn id(&self) -> u16 {
         self.id
     }
 
-    /// The number of bytes in the payload, 0…8.
+    /// Returns the number of bytes in the payload, 0…8.
     #[must_use]
     pub const fn len(&self) -> u8 {
         self.len
     }
 
-    /// Whether the payload has no byte.
+    /// Returns whether the payload has no byte.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// The payload, padded with zeros to 8 bytes.
+    /// Returns the payload, padded with zeros to 8 bytes.
     #[must_use]
     pub const fn data(&self) -> &[u8; Self::MAX_LEN] {
         &self.data
     }
 
-    /// The payload, 0…8 bytes.
+    /// Returns the payload, 0…8 bytes.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         self.data.get(..usize::from(self.len)).unwrap_or(&self.data)

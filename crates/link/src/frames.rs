@@ -68,7 +68,7 @@ pub enum State {
 }
 
 impl State {
-    /// The state with this number on the wire.
+    /// Returns the state with this number on the wire.
     #[must_use]
     pub fn from_wire(number: u8) -> Option<Self> {
         Some(match number {
@@ -176,14 +176,14 @@ pub fn conditions(conditions: Conditions, counter: u8) -> Frame {
     protected(CONDITIONS_ID, counter, data)
 }
 
-/// How a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
+/// Returns how a CNC begins after every start of the bridge, before it raises `Engage`: three `Control`
 /// frames without it, with the counters 0, 1 and 2.
 #[must_use]
 pub fn released() -> [Frame; 3] {
     [0, 1, 2].map(|counter| control(Control::REFERENCED, counter))
 }
 
-/// The identifier of `PositionX`, `PositionY` or `PositionZ`.
+/// Returns the identifier of `PositionX`, `PositionY` or `PositionZ`.
 #[must_use]
 pub const fn position_id(axis: LinearAxis) -> u16 {
     match axis {
@@ -228,7 +228,7 @@ pub fn rotary(rotary: Rotary, counter: u8) -> Frame {
     protected(ROTARY_ID, counter, data)
 }
 
-/// What an `OffsetXY` frame says.
+/// Returns what an `OffsetXY` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
@@ -239,7 +239,7 @@ pub fn decode_offset_xy(frame: &Frame) -> Result<OffsetXy, DecodeError> {
     Ok(OffsetXy { offset: x.zip(y).map(|(x, y)| [x, y]) })
 }
 
-/// What an `OffsetZ` frame says.
+/// Returns what an `OffsetZ` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a quality that has no meaning.
@@ -255,7 +255,7 @@ pub fn decode_offset_z(frame: &Frame) -> Result<OffsetZ, DecodeError> {
     })
 }
 
-/// What a `Heartbeat` frame says.
+/// Returns what a `Heartbeat` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a state that CiA 301 does not define.
@@ -264,7 +264,7 @@ pub fn decode_heartbeat(frame: &Frame) -> Result<State, DecodeError> {
     State::from_wire(state).ok_or(DecodeError::Value { signal: "State", raw: state.into() })
 }
 
-/// What a `Spindle` frame says.
+/// Returns what a `Spindle` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
@@ -278,7 +278,7 @@ pub fn decode_spindle(frame: &Frame) -> Result<Spindle, DecodeError> {
     })
 }
 
-/// What a `Control` frame says.
+/// Returns what a `Control` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
@@ -313,7 +313,7 @@ pub fn decode_conditions(frame: &Frame) -> Result<Conditions, DecodeError> {
     })
 }
 
-/// What the position frame of this axis says.
+/// Returns what the position frame of this axis says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or a direction that has no meaning.
@@ -328,7 +328,7 @@ pub fn decode_position(axis: LinearAxis, frame: &Frame) -> Result<AxisPosition, 
     })
 }
 
-/// What a `Rotary` frame says.
+/// Returns what a `Rotary` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
@@ -338,7 +338,7 @@ pub fn decode_rotary(frame: &Frame) -> Result<Rotary, DecodeError> {
     Ok(Rotary { angles: [angle(ANGLE_1), angle(ANGLE_2)] })
 }
 
-/// The E2E counter of a protected frame; 0 if the frame is too short to have one.
+/// Returns the E2E counter of a protected frame; 0 if the frame is too short to have one.
 #[must_use]
 pub fn counter(frame: &Frame) -> u8 {
     byte(crate::layout::COUNTER, frame.data())
@@ -349,7 +349,7 @@ pub(crate) fn protected(id: u16, counter: u8, mut data: [u8; 8]) -> Frame {
     Frame::full(id, data)
 }
 
-/// The data of a frame that has this identifier and this length in bytes, 0…8.
+/// Returns the data of a frame that has this identifier and this length in bytes, 0…8.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length.
@@ -363,14 +363,14 @@ pub fn data_of(frame: &Frame, id: u16, len: u8) -> Result<&[u8; 8], DecodeError>
     Ok(frame.data())
 }
 
-/// The raw value of an unsigned signal of at most 8 bits; of a longer one its lowest 8.
+/// Returns the raw value of an unsigned signal of at most 8 bits; of a longer one its lowest 8.
 #[must_use]
 pub fn byte(signal: Signal, data: &[u8; 8]) -> u8 {
     let [byte, ..] = signal.extract(data).to_le_bytes();
     byte
 }
 
-/// The nearest number of bits of `UNIT` each, halves away from zero.
+/// Returns the nearest number of bits of `UNIT` each, halves away from zero.
 fn nearest<const UNIT: i32>(value: i32) -> i32 {
     let half = const { UNIT / 2 };
     let half = if value < 0 { half.saturating_neg() } else { half };

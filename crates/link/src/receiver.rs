@@ -94,7 +94,7 @@ pub struct Receiver {
 }
 
 impl Receiver {
-    /// A receiver that has heard nothing yet.
+    /// Returns a receiver that has heard nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -109,7 +109,7 @@ impl Receiver {
         }
     }
 
-    /// What the CNC says in this frame; `None` for a frame that is not for the bridge.
+    /// Returns what the CNC says in this frame; `None` for a frame that is not for the bridge.
     ///
     /// # Errors
     /// A frame for the bridge that must not be used. It is counted.
@@ -148,7 +148,7 @@ impl Receiver {
         }))
     }
 
-    /// Whether a frame with this identifier is one that a CNC sends.
+    /// Returns whether a frame with this identifier is one that a CNC sends.
     #[must_use]
     pub const fn is_from_cnc(id: u16) -> bool {
         matches!(
@@ -163,7 +163,7 @@ impl Receiver {
         )
     }
 
-    /// What has arrived so far.
+    /// Returns what has arrived so far.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
@@ -198,7 +198,7 @@ pub struct OffsetReceiver {
 }
 
 impl OffsetReceiver {
-    /// A receiver that has heard nothing yet.
+    /// Returns a receiver that has heard nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -210,7 +210,7 @@ impl OffsetReceiver {
         }
     }
 
-    /// The output of a cycle, with the frame that completes it; the halves may come in either
+    /// Returns the output of a cycle, with the frame that completes it; the halves may come in either
     /// order. `None` for the first half, and for a frame that carries no offset.
     ///
     /// The offset is `None` unless all three axes are available.
@@ -241,7 +241,7 @@ impl OffsetReceiver {
         }
     }
 
-    /// What has arrived so far, in frames.
+    /// Returns what has arrived so far, in frames.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
@@ -268,13 +268,13 @@ pub struct StatusReceiver {
 }
 
 impl StatusReceiver {
-    /// A receiver that has heard nothing yet.
+    /// Returns a receiver that has heard nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { stream: Stream::new(STATUS_ID), counters: Counters::NOTHING }
     }
 
-    /// What this frame says.
+    /// Returns what this frame says.
     ///
     /// # Errors
     /// Another frame, or one that must not be used. It is counted.
@@ -282,7 +282,7 @@ impl StatusReceiver {
         self.counters.admit(&mut self.stream, frame, status::decode)
     }
 
-    /// What has arrived so far, in frames.
+    /// Returns what has arrived so far, in frames.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         self.counters
@@ -331,13 +331,13 @@ impl From<StreamError> for Refused {
 }
 
 impl Refused {
-    /// Whether the frame was whole, but not in sequence: what a second sender would do.
+    /// Returns whether the frame was whole, but not in sequence: what a second sender would do.
     #[must_use]
     pub const fn is_sound(&self) -> bool {
         matches!(self, Self::E2e(E2eError::Repeated { .. } | E2eError::WrongSequence { .. }))
     }
 
-    /// The reason, as a status frame tells it: of a frame whose stream is not trusted, why that is.
+    /// Returns the reason, as a status frame tells it: of a frame whose stream is not trusted, why that is.
     #[must_use]
     pub const fn reason(&self) -> Reason {
         match self {

@@ -34,7 +34,7 @@ pub const MAX_FRAME_LINE: usize = 22;
 /// A line without its end.
 pub type Line = Vec<u8, MAX_LINE>;
 
-/// The line of a frame, with its end, in upper case.
+/// Returns the line of a frame, with its end, in upper case.
 ///
 /// ```
 /// use trueup_link::{frame::Frame, slcan};
@@ -50,7 +50,7 @@ pub fn encode_line(frame: &Frame) -> String<MAX_FRAME_LINE> {
     text.and_then(|text| String::try_from(text).ok()).unwrap_or_default()
 }
 
-/// The bytes of [`encode_line`], and how many they are: as a board sends them, thousands of lines a second.
+/// Returns the bytes of [`encode_line`], and how many they are: as a board sends them, thousands of lines a second.
 fn bytes_of_line(frame: &Frame) -> ([u8; MAX_FRAME_LINE], usize) {
     let mut line = [CR; MAX_FRAME_LINE];
     let [high, low] = frame.id().to_be_bytes();
@@ -68,7 +68,7 @@ fn len_of_line(frame: &Frame) -> usize {
     usize::from(frame.len()).saturating_mul(2).saturating_add(6)
 }
 
-/// The frame of a line; its end may be left out, and digits may be in lower case.
+/// Returns the frame of a line; its end may be left out, and digits may be in lower case.
 ///
 /// # Errors
 /// [`SlcanError`] with the character at fault; [`SlcanError::NotData`] for every line but `t`.
@@ -93,7 +93,7 @@ struct Fields<'a> {
 }
 
 impl<'a> Fields<'a> {
-    /// The first character, and the rest.
+    /// Returns the first character, and the rest.
     fn of(line: &'a [u8]) -> Result<(u8, Self), SlcanError> {
         if line.len() > MAX_LINE {
             return Err(SlcanError::TooLong);
@@ -109,7 +109,7 @@ impl<'a> Fields<'a> {
         Ok(*byte)
     }
 
-    /// A number of 1…8 hexadecimal digits.
+    /// Returns a number of 1…8 hexadecimal digits.
     fn hex(&mut self, digits: u8) -> Result<u32, SlcanError> {
         let mut number = 0_u32;
         for _ in 0..digits {
@@ -128,7 +128,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// The number of data bytes.
+    /// Returns the number of data bytes.
     fn len(&mut self) -> Result<u8, SlcanError> {
         let found = self.next()?;
         match found {
@@ -150,7 +150,7 @@ impl<'a> Fields<'a> {
         })
     }
 
-    /// The number of bytes, then the bytes, up to the end of the line.
+    /// Returns the number of bytes, then the bytes, up to the end of the line.
     fn data<'b>(&mut self, bytes: &'b mut [u8; Frame::MAX_LEN]) -> Result<&'b [u8], SlcanError> {
         let len = usize::from(self.len()?);
         let payload = bytes.get_mut(..len).unwrap_or_default();

@@ -70,7 +70,7 @@ pub enum Reason {
 }
 
 impl Reason {
-    /// The reason with this number on the wire.
+    /// Returns the reason with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: u8) -> Option<Self> {
         Some(match number {
@@ -218,7 +218,7 @@ impl StateBits {
         if condition { Self(self.0 | other.0) } else { self }
     }
 
-    /// Whether every bit of `other` is set.
+    /// Returns whether every bit of `other` is set.
     #[must_use]
     pub const fn contains(self, other: Self) -> bool {
         self.0 & other.0 == other.0
@@ -258,7 +258,7 @@ impl ResetReason {
     /// How many there are; the numbers on the wire are those below.
     pub const COUNT: usize = 11;
 
-    /// The reason with this number on the wire.
+    /// Returns the reason with this number on the wire.
     #[must_use]
     pub const fn from_wire(number: u16) -> Option<Self> {
         Some(match number {
@@ -296,7 +296,7 @@ impl ResetReason {
     }
 }
 
-/// The frame that says this. `counter` counts the frames of this identifier.
+/// Returns the frame that says this. `counter` counts the frames of this identifier.
 ///
 /// ```
 /// use trueup_link::status::{self, Item, Reason, Status};
@@ -353,7 +353,7 @@ fn counts(data: &mut [u8; 8], item: u8, low: u16, high: u16) -> u8 {
     item
 }
 
-/// What a `Status` frame says.
+/// Returns what a `Status` frame says.
 ///
 /// # Errors
 /// [`DecodeError`] for another identifier or length, or an item or a reason that has no meaning.

@@ -75,14 +75,14 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// A stream of which no frame was heard; `data_id` is the CAN identifier of its frames.
+    /// Returns a stream of which no frame was heard; `data_id` is the CAN identifier of its frames.
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
         let checker = Checker::new(data_id);
         Self { checker, trust: Trust::Initial, sound: 0, damaged: 0, last_error: None }
     }
 
-    /// How many frames were lost before this one, if it is to be used.
+    /// Returns how many frames were lost before this one, if it is to be used.
     ///
     /// # Errors
     /// The frame must not be used: for what it is, as [`Checker::accept`], or for what came before it.
@@ -109,7 +109,7 @@ impl Stream {
         self.step(false, true);
     }
 
-    /// How far it is trusted after the last frame.
+    /// Returns how far it is trusted after the last frame.
     #[must_use]
     pub const fn trust(&self) -> Trust {
         self.trust

@@ -179,7 +179,7 @@ impl Status {
 }
 
 impl Component {
-    /// A component that begins now.
+    /// Returns a component that begins now.
     #[must_use]
     pub fn new(now: Duration, options: Options) -> Self {
         Self {
@@ -218,7 +218,7 @@ impl Component {
         }
     }
 
-    /// One turn of the loop: what the pins are to say, and the frames to send.
+    /// Returns one turn of the loop: what the pins are to say, and the frames to send.
     pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Vec<Frame>) {
         let ready = inputs.machine_on && inputs.homed;
         let limits = &self.options.limits;

@@ -22,7 +22,7 @@ pub struct Engage {
 }
 
 impl Engage {
-    /// What to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
+    /// Returns what to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
     /// bridge gives one, or has not been heard; `at_zero`: LinuxCNC applies none.
     pub fn step(&mut self, now: Duration, wanted: bool, available: bool, at_zero: bool) -> bool {
         let lasts = now.saturating_sub(*self.since.get_or_insert(now));

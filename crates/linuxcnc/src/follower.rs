@@ -56,14 +56,14 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// The largest step, d: whole counts, at least one. So below 1 µm/s (at a servo cycle of 1 ms)
+    /// Returns the largest step, d: whole counts, at least one. So below 1 µm/s (at a servo cycle of 1 ms)
     /// the bridge's own slew limit is the one that counts.
     #[must_use]
     pub fn step(&self) -> f64 {
         (self.slew_nm_per_s * self.cycle_s + NOISE).floor().max(1.0)
     }
 
-    /// How far the request may run ahead of an offset that stands.
+    /// Returns how far the request may run ahead of an offset that stands.
     #[must_use]
     pub fn lead(&self) -> f64 {
         let slew = self.slew_nm_per_s;
@@ -114,7 +114,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// The next step towards `goal_nm`, or, without one, towards where the request stands. `ready`:
+    /// Returns the next step towards `goal_nm`, or, without one, towards where the request stands. `ready`:
     /// the machine is on and all joints are homed.
     pub fn step(
         &mut self,
@@ -160,7 +160,7 @@ impl Follower {
         Step { counts, ..told }
     }
 
-    /// The step, in counts.
+    /// Returns the step, in counts.
     #[allow(clippy::cast_possible_truncation, reason = "held to the range of an i32 before")]
     fn next(&mut self, now: Duration, goal_nm: Option<i32>, reading: Reading, pace: &Pace) -> i32 {
         let Reading { request_nm: request, eoffset_nm: offset } = reading;

@@ -81,7 +81,7 @@ pub struct Pin<'hal, T: PinType> {
 }
 
 impl<T: PinType> Pin<'_, T> {
-    /// What the pin, or the signal that it is connected to, says now.
+    /// Returns what the pin, or the signal that it is connected to, says now.
     #[must_use]
     pub fn get(&self) -> T {
         // SAFETY: `cell` was made by `Hal::pin`: it lies in the HAL's memory, or is kept by `Hal`,
@@ -153,7 +153,7 @@ impl Hal {
         }
     }
 
-    /// Whether the pins are those of a component whose process was killed.
+    /// Returns whether the pins are those of a component whose process was killed.
     #[must_use]
     pub fn adopts(&self) -> bool {
         self.adopts
@@ -171,7 +171,7 @@ impl Hal {
         }
     }
 
-    /// A pin that others write.
+    /// Returns a pin that others write.
     ///
     /// # Errors
     /// The HAL refuses: the name is taken or too long, or its memory is full.
@@ -179,7 +179,7 @@ impl Hal {
         self.pin(name, IN)
     }
 
-    /// A pin that this component writes.
+    /// Returns a pin that this component writes.
     ///
     /// # Errors
     /// As [`Hal::input`].
@@ -187,7 +187,7 @@ impl Hal {
         self.pin(name, OUT)
     }
 
-    /// What anybody's pin says; `None` if there is none of this name and type.
+    /// Returns what anybody's pin says; `None` if there is none of this name and type.
     #[must_use]
     pub fn foreign<T: PinType>(&self, name: &str) -> Option<T> {
         let data = self.find(&text(name).ok()?, T::KIND)?;
@@ -196,7 +196,7 @@ impl Hal {
         Some(T::from_raw(unsafe { ptr::read_volatile(data.cast::<T::Raw>()) }))
     }
 
-    /// Whether anybody's pin is connected to a signal; `None` if there is none of this name.
+    /// Returns whether anybody's pin is connected to a signal; `None` if there is none of this name.
     #[must_use]
     pub fn is_connected(&self, name: &str) -> Option<bool> {
         self.look_up(&text(name).ok()?).map(|found| found.is_connected)
@@ -273,7 +273,7 @@ impl Hal {
         (code == 0).then_some(found)
     }
 
-    /// A function of the library; `F` is its type in `hal.h`.
+    /// Returns a function of the library; `F` is its type in `hal.h`.
     fn function<F: Copy>(&self, name: &'static str, symbol: &[u8]) -> Result<F, HalError> {
         // SAFETY: every caller states the type that `hal.h` declares for the symbol, and calls it
         // while `self.library` is loaded.
@@ -303,7 +303,7 @@ fn check(what: &'static str, code: c_int) -> Result<c_int, HalError> {
     if code < 0 { Err(HalError::Call { what, code }) } else { Ok(code) }
 }
 
-/// Whether a process runs; one that has ended and is not waited for does not.
+/// Returns whether a process runs; one that has ended and is not waited for does not.
 fn is_alive(pid: u32) -> bool {
     let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else { return false };
     // "pid (name) state …"; the name may contain anything.

@@ -29,7 +29,7 @@ pub struct AxisMotion {
 }
 
 impl AxisMotion {
-    /// How fast LinuxCNC itself lets an offset of this axis change, µm/s; to a billionth, which is arithmetic.
+    /// Returns how fast LinuxCNC itself lets an offset of this axis change, µm/s; to a billionth, which is arithmetic.
     fn most_um_per_s(&self) -> Option<f64> {
         let most = self.velocity_mm_per_s? * self.ratio * MICROMETRES_PER_MILLIMETRE;
         Some((most * 1e9).round() / 1e9)
@@ -103,7 +103,7 @@ impl Ini {
         Ok(Self { cycle_s: period_ns * 1e-9, mm_per_unit, axes, has })
     }
 
-    /// How fast the offsets of X, Y and Z may change with this slew limit.
+    /// Returns how fast the offsets of X, Y and Z may change with this slew limit.
     #[must_use]
     pub fn paces(&self, slew_um_per_s: f64) -> [Pace; 3] {
         self.axes.map(|axis| Pace {
@@ -118,7 +118,7 @@ impl Ini {
         })
     }
 
-    /// What in the file does not go with this slew limit, a sentence each: an axis whose
+    /// Returns what in the file does not go with this slew limit, a sentence each: an axis whose
     /// `OFFSET_AV_RATIO` is missing, too small, or so large that LinuxCNC itself would not keep it.
     #[must_use]
     pub fn remarks(&self, slew_um_per_s: f64) -> Vec<String> {
@@ -156,7 +156,7 @@ impl Ini {
     }
 }
 
-/// The first value with this key in this section, and its line and column.
+/// Returns the first value with this key in this section, and its line and column.
 fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), &'a str)> {
     let (mut here, mut is_over) = ("", false);
     for (index, whole) in text.lines().enumerate() {
@@ -217,7 +217,7 @@ mod tests {
         assert_eq!(ini.axes[1], AxisMotion::default());
     }
 
-    /// An .ini with this in `[AXIS_X]`, and a second and a third axis that are as they should be.
+    /// Returns an .ini with this in `[AXIS_X]`, and a second and a third axis that are as they should be.
     fn with_x(x: &str) -> Ini {
         let proper = "MAX_VELOCITY = 100\nOFFSET_AV_RATIO = 0.0002\n";
         let text = format!("[AXIS_X]\n{x}\n[AXIS_Y]\n{proper}[AXIS_Z]\n{proper}");

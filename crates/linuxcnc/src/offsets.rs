@@ -73,14 +73,14 @@ impl ReceivedOffsets {
         self.malformed_lines = self.malformed_lines.saturating_add(1);
     }
 
-    /// The newest valid pair, unless it is stale.
+    /// Returns the newest valid pair, unless it is stale.
     #[must_use]
     pub fn fresh(&self, now: Duration, limits: &Limits) -> Option<&Output> {
         let (heard, output) = self.last.as_ref()?;
         (now.saturating_sub(*heard) <= limits.stale.min(LONGEST_STALE)).then_some(output)
     }
 
-    /// What the offsets are to do now.
+    /// Returns what the offsets are to do now.
     pub fn target(&mut self, now: Duration, limits: &Limits) -> Target {
         let available = self.fresh(now, limits).and_then(|output| match output.quality {
             Quality::Fault => None,
@@ -116,7 +116,7 @@ impl ReceivedOffsets {
         Some(waited.saturating_add(output.age_ms.into()))
     }
 
-    /// What has arrived so far, in frames; lines that were none are among the malformed.
+    /// Returns what has arrived so far, in frames; lines that were none are among the malformed.
     #[must_use]
     pub fn counters(&self) -> Counters {
         let counters = self.receiver.counters();

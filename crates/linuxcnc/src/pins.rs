@@ -121,7 +121,7 @@ pub struct Pins<'hal> {
     wires: Vec<Wire>,
 }
 
-/// The pin that tells which process the component called `name` is.
+/// Returns the pin that tells which process the component called `name` is.
 #[must_use]
 pub fn pid_pin(name: &str) -> String {
     format!("{name}.0.pid")
@@ -221,7 +221,7 @@ impl<'hal> Pins<'hal> {
         }
     }
 
-    /// A pin that was connected and is no longer. One that never was belongs to an axis that the machine does
+    /// Returns a pin that was connected and is no longer. One that never was belongs to an axis that the machine does
     /// not have.
     #[must_use]
     pub fn cut_wire(&self) -> Option<&str> {
@@ -235,7 +235,7 @@ impl<'hal> Pins<'hal> {
         cut.first().map(|wire| wire.name.as_str())
     }
 
-    /// What the pins say.
+    /// Returns what the pins say.
     #[must_use]
     pub fn read(&self) -> Inputs {
         let nm = |units: f64| units * self.mm_per_unit / MM_PER_COUNT;
@@ -266,7 +266,7 @@ impl<'hal> Pins<'hal> {
         }
     }
 
-    /// A number that no tool can have is not sent: it would be another tool's.
+    /// Returns a number that no tool can have is not sent: it would be another tool's.
     fn conditions(&self) -> Option<Conditions> {
         let tool = u16::try_from(self.tool.get()).ok()?;
         let held = self.conditions.iter().rev();

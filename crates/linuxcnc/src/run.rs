@@ -256,7 +256,8 @@ mod tests {
 
     const RUNNING: u32 = 0x1234_ABCD;
 
-    /// What a component says of what was learned in five frames of `Control`, to a bridge that runs on `RUNNING`.
+    /// Returns what a component says of what was learned in five frames of `Control`, to a bridge that runs on
+    /// `RUNNING`.
     fn taught(news: Option<impl Fn() -> Option<Learned>>, of: Option<u32>) -> Vec<(u8, i16)> {
         let (mut component, mut receiver) = (component(), Receiver::new());
         let item = Item::Calibration(RUNNING);

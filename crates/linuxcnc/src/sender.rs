@@ -70,7 +70,7 @@ impl<T> Default for Changing<T> {
 }
 
 impl<T: PartialEq + Copy> Changing<T> {
-    /// The counter of the frame if one is due.
+    /// Returns the counter of the frame if one is due.
     fn due(&mut self, now: Duration, value: T, fastest: Duration, slowest: Duration) -> Option<u8> {
         let is_due = self.sent.is_none_or(|(at, last)| {
             let waited = now.saturating_sub(at);
@@ -175,7 +175,7 @@ impl Sender {
         self.learned = learned;
     }
 
-    /// The part of what was learned that this frame is to say.
+    /// Returns the part of what was learned that this frame is to say.
     fn learned(&self, counter: u8) -> Change {
         let Some((amounts, calibration)) = self.learned else { return Change::default() };
         let part = counter % PARTS as u8;
@@ -186,7 +186,7 @@ impl Sender {
         }
     }
 
-    /// The frames that are due.
+    /// Returns the frames that are due.
     pub fn frames(&mut self, now: Duration, command: &Command) -> Vec<Frame> {
         let mut due = Vec::new();
         let control = Control { zero: self.zero(now, command.control.zero), ..command.control };

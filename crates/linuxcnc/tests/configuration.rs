@@ -47,7 +47,7 @@ const DEMAND: Demand = Demand {
     corrects_screw: Some([true; 3]),
 };
 
-/// An INI file of three axes that has all that is needed.
+/// Returns an INI file of three axes that has all that is needed.
 fn whole() -> String {
     let mut text = INI.to_string();
     for (joint, axis) in ["X", "Y", "Z"].iter().enumerate() {
@@ -103,7 +103,7 @@ impl Case {
         }
     }
 
-    /// Every file but the copies.
+    /// Returns every file but the copies.
     fn files(&self) -> Vec<(String, String)> {
         let mut all: Vec<(String, String)> = fs::read_dir(self.folder.path())
             .expect("a folder")

@@ -55,7 +55,7 @@ impl Motion {
         self.on = on;
     }
 
-    /// One servo cycle; by how much the joint has stepped beyond its command.
+    /// Returns one servo cycle; by how much the joint has stepped beyond its command.
     fn cycle(&mut self, counts: i32, command: f64) -> f64 {
         let joint = self.position + self.offset;
         let moved = command - self.position;
@@ -117,7 +117,7 @@ impl Both {
         self.counts = self.counts.wrapping_add(step.counts);
     }
 
-    /// A servo cycle with this many turns in it.
+    /// Returns a servo cycle with this many turns in it.
     fn cycle(&mut self, turns: u32, goal: Option<i32>) -> f64 {
         for _ in 0..turns {
             self.us += 1_000 / u64::from(turns.max(1));

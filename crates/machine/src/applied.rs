@@ -234,7 +234,7 @@ struct Record<'r> {
     taken_back: Vec<bool>,
 }
 
-/// The rows from which on no offset was available for longer than a CNC takes to go to 0.
+/// Returns the rows from which on no offset was available for longer than a CNC takes to go to 0.
 fn taken_back(run: &RunFile, machine: Option<&Machine>, quality: &[f64]) -> Vec<bool> {
     let limits = machine.map(|machine| machine.limits).unwrap_or_default();
     let way_um = limits.max_um.into_iter().fold(0.0, f64::max);
@@ -280,7 +280,7 @@ impl Record<'_> {
         self.machine.map_or(&[], |machine| &machine.head_axes)
     }
 
-    /// The column without which nothing is known of `quantity` in any row in which the bridge was on.
+    /// Returns the column without which nothing is known of `quantity` in any row in which the bridge was on.
     fn lacks(&self, quantity: Quantity) -> Option<String> {
         let is_without = |(&quality, taken_back): (&f64, &bool)| quality == 0.0 || *taken_back;
         if self.quality.iter().zip(&self.taken_back).all(is_without) {
@@ -305,7 +305,7 @@ impl Record<'_> {
         self.machine.map_or([0.0, 0.0, -1.0], |machine| machine.tool_direction)
     }
 
-    /// The angles of a rotary axis that turns the tool. A record that was made without a machine file
+    /// Returns the angles of a rotary axis that turns the tool. A record that was made without a machine file
     /// numbers them in the order of the head.
     fn angle(&self, axis: RotaryAxis) -> Option<&[f64]> {
         let number = self.head_axes().iter().position(|it| *it == axis)? + 1;
@@ -351,7 +351,7 @@ impl Record<'_> {
     }
 }
 
-/// The share of an offset along the tool. What does not matter need not be known: a component of the
+/// Returns the share of an offset along the tool. What does not matter need not be known: a component of the
 /// tool that is 0, and an offset of 0.
 fn along_tool(offset: [f64; 3], tool: [f64; 3]) -> f64 {
     if offset == [0.0; 3] {

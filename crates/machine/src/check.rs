@@ -46,7 +46,7 @@ pub use range::{Finding, Grade, RANGES, Range, refusal};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 
-/// The values of the machine file that are outside the ranges of machines, in the order of its lines.
+/// Returns the values of the machine file that are outside the ranges of machines, in the order of its lines.
 #[must_use]
 pub fn ranges(machine: &Machine) -> Vec<Finding> {
     let mut findings = range::of_machine(machine);
@@ -88,7 +88,7 @@ pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     in_order(of_names.chain(values(run, machine)))
 }
 
-/// The same without what the names of the columns say, for a command that says that itself.
+/// Returns the same without what the names of the columns say, for a command that says that itself.
 #[must_use]
 pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     let mut warnings: Vec<Warning> =
@@ -98,8 +98,8 @@ pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     warnings
 }
 
-/// The columns of the run that are unlikely or impossible in the units of their names, or compared with the machine
-/// file, and a clock that was set: a constant that is found from them is wrong.
+/// Returns the columns of the run that are unlikely or impossible in the units of their names, or compared with the
+/// machine file, and a clock that was set: a constant that is found from them is wrong.
 #[must_use]
 pub fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     let mut slips = units::findings(run, machine);
@@ -114,7 +114,7 @@ pub fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     slips
 }
 
-/// What is worth a remark in the run and needs nothing done: pauses.
+/// Returns what is worth a remark in the run and needs nothing done: pauses.
 #[must_use]
 pub fn remarks(run: &RunFile) -> Vec<Warning> {
     clock::look(run).remarks

@@ -62,19 +62,19 @@ pub struct Compiled {
 }
 
 impl Compiled {
-    /// The bytes that the board stores.
+    /// Returns the bytes that the board stores.
     #[must_use]
     pub fn blob(&self) -> &[u8] {
         &self.blob
     }
 
-    /// The CRC by which a board names the calibration.
+    /// Returns the CRC by which a board names the calibration.
     #[must_use]
     pub fn crc(&self) -> u32 {
         identity(&self.blob)
     }
 
-    /// What the board reads in them.
+    /// Returns what the board reads in them.
     ///
     /// # Panics
     /// Never: [`compile`] has read the blob.
@@ -162,7 +162,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
 /// What a machine is called that its calibration does not name.
 pub const UNNAMED: &str = "shown";
 
-/// A machine that compiles to `calibration`, or as nearly as the machine file can say it.
+/// Returns a machine that compiles to `calibration`, or as nearly as the machine file can say it.
 ///
 /// Counts are ADC codes ([`SHOWN_INPUT`]), the temperature of channel 3 is `temp_ch3_c`, a machine without
 /// a name is called `shown`; its tool direction is written in few decimals and not of length 1.

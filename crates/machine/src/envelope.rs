@@ -62,8 +62,8 @@ pub struct InputRanges {
 }
 
 impl InputRanges {
-    /// A workshop by the file alone: 10 to 30 °C, all thermometers together; the travels; the rated speed, and the
-    /// displacement sensor at its zero.
+    /// Returns a workshop by the file alone: 10 to 30 °C, all thermometers together; the travels; the rated speed, and
+    /// the displacement sensor at its zero.
     #[must_use]
     pub fn normal(machine: &Machine) -> Self {
         let sensor = machine.spindle.sensor.as_ref();
@@ -79,7 +79,7 @@ impl InputRanges {
     }
 }
 
-/// The speed for which the file says how the spindle warms; 0 where it does not.
+/// Returns the speed for which the file says how the spindle warms; 0 where it does not.
 fn rated_rpm(machine: &Machine) -> f64 {
     machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm).unwrap_or(0.0)
 }
@@ -97,7 +97,7 @@ pub struct State {
     pub is_settled: bool,
 }
 
-/// The model of what the board runs of `machine`, in every state of `ranges`.
+/// Returns the model of what the board runs of `machine`, in every state of `ranges`.
 #[must_use]
 pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
     let machine = started(machine);
@@ -156,7 +156,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
     states
 }
 
-/// What the board runs of a machine, whose slow modes begin when it is switched on.
+/// Returns what the board runs of a machine, whose slow modes begin when it is switched on.
 fn started(machine: &Machine) -> Machine {
     let mut started = machine.compensated().into_owned();
     let by_tool = started.spindle.tools.take();
@@ -169,7 +169,7 @@ fn started(machine: &Machine) -> Machine {
     started
 }
 
-/// The tool and the conditions at one end: none and off, or where each does most.
+/// Returns the tool and the conditions at one end: none and off, or where each does most.
 fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
     let mut values: Vec<(&str, f64)> = Vec::new();
     for term in &machine.terms {
@@ -185,7 +185,7 @@ fn categories(machine: &Machine, end: usize) -> Vec<(&str, f64)> {
     values
 }
 
-/// The thermometers that the model reads.
+/// Returns the thermometers that the model reads.
 fn thermometers(machine: &Machine) -> Vec<String> {
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());
     let spindle = machine.spindle.temperature.iter().map(|model| &model.sensor);
@@ -197,7 +197,7 @@ fn thermometers(machine: &Machine) -> Vec<String> {
     columns
 }
 
-/// Which end, 0 or 1, each of `count` thermometers is at.
+/// Returns which end, 0 or 1, each of `count` thermometers is at.
 fn corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
     match count {
         0 => vec![Vec::new()],
@@ -208,7 +208,7 @@ fn corners(count: usize, is_each_alone: bool) -> Vec<Vec<usize>> {
     }
 }
 
-/// The times after a start at which it is looked, in s: on the ramp, and until all has settled.
+/// Returns the times after a start at which it is looked, in s: on the ramp, and until all has settled.
 fn times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
     let of_axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref()).map(|it| it.lag_s);
     let spindle = &machine.spindle;
@@ -233,7 +233,7 @@ fn times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
     quarters.into_iter().chain(after).collect()
 }
 
-/// The corners of the axes' ranges, approached from both sides.
+/// Returns the corners of the axes' ranges, approached from both sides.
 fn places(ranges: &InputRanges) -> Vec<([f64; 3], f64)> {
     let mut places: Vec<([f64; 3], f64)> = Vec::new();
     for corner in 0..8_usize {
@@ -313,7 +313,7 @@ impl OfMachine {
         Some(Self { numbers, all, plain, alone, machine })
     }
 
-    /// The states in which all has settled.
+    /// Returns the states in which all has settled.
     fn settled(&self) -> Vec<usize> {
         (0..self.all.len()).filter(|&state| self.all[state].is_settled).collect()
     }
@@ -331,7 +331,7 @@ pub struct Cancelling {
     pub axis: LinearAxis,
 }
 
-/// The first pair of terms that take each other back, where there is one.
+/// Returns the first pair of terms that take each other back, where there is one.
 #[must_use]
 pub fn cancelling(machine: &Machine) -> Option<Cancelling> {
     let of_machine = OfMachine::new(machine)?;
@@ -419,7 +419,7 @@ impl OfAxis<'_> {
         self.pair(quantity)
     }
 
-    /// The first state of a moment in which every state is beyond the limit.
+    /// Returns the first state of a moment in which every state is beyond the limit.
     fn beyond_at(&self, states: &[State], quantity: usize) -> Option<usize> {
         let moments = states.iter().map(|state| state.moment).max().map_or(0, |last| last + 1);
         (0..moments).find_map(|moment| {
@@ -429,7 +429,7 @@ impl OfAxis<'_> {
         })
     }
 
-    /// Two terms that are each beyond the limit in every settled state, and take each other back.
+    /// Returns two terms that are each beyond the limit in every settled state, and take each other back.
     fn pair(&self, quantity: usize) -> Option<Excess> {
         let OfMachine { alone, numbers, .. } = self.of_machine;
         let settled = self.of_machine.settled();
@@ -453,7 +453,7 @@ impl OfAxis<'_> {
         Some(Excess { axis: self.axis, term: numbers[first], um: of(first), rule })
     }
 
-    /// The first three of `terms`, each with what it does.
+    /// Returns the first three of `terms`, each with what it does.
     fn named(&self, terms: &[usize], um: impl Fn(usize) -> f64) -> String {
         let OfMachine { machine, numbers, .. } = self.of_machine;
         let of = |&term: &usize| {

@@ -151,7 +151,7 @@ impl MachineFile {
 struct Faults(Vec<BadInput>);
 
 impl Faults {
-    /// What was read of a section, if it is there and right.
+    /// Returns what was read of a section, if it is there and right.
     fn of<T>(&mut self, read: Option<Result<T, BadInput>>) -> Option<T> {
         read.transpose().unwrap_or_else(|error| {
             self.0.push(error);
@@ -161,7 +161,7 @@ impl Faults {
 }
 
 impl Machine {
-    /// The sections of its machine file, in their order, but for the terms.
+    /// Returns the sections of its machine file, in their order, but for the terms.
     #[must_use]
     pub fn sections(&self) -> Vec<NewSection> {
         let mut sections = vec![machine::write(self)];

@@ -193,7 +193,7 @@ pub struct SensorInput {
 }
 
 impl SensorInput {
-    /// The sensor's voltage.
+    /// Returns the sensor's voltage.
     #[must_use]
     pub fn volts_from_counts(&self, counts: f64) -> f64 {
         counts * (self.volts_full_scale / self.counts_full_scale)
@@ -205,7 +205,7 @@ impl SensorInput {
         counts * self.codes_per_count()
     }
 
-    /// The counts that give `codes`, the inverse of [`Self::codes_from_counts`].
+    /// Returns the counts that give `codes`, the inverse of [`Self::codes_from_counts`].
     #[must_use]
     pub fn counts_from_codes(&self, codes: f64) -> f64 {
         codes / self.codes_per_count()
@@ -217,7 +217,7 @@ impl SensorInput {
         self.codes_from_counts(counts) * f64::from(READINGS_PER_CODE)
     }
 
-    /// The nearest reading, at most half a unit (1/2048 code) off; saturates at the ends of `i32`,
+    /// Returns the nearest reading, at most half a unit (1/2048 code) off; saturates at the ends of `i32`,
     /// and a missing count (NaN) reads 0.
     #[must_use]
     pub fn reading_from_counts(&self, counts: f64) -> Reading {
@@ -225,7 +225,7 @@ impl SensorInput {
         Reading(self.exact_reading_from_counts(counts).round() as i32)
     }
 
-    /// Whether the sensor can give these counts: 0…`counts_full_scale`. NaN cannot be given.
+    /// Returns whether the sensor can give these counts: 0…`counts_full_scale`. NaN cannot be given.
     #[must_use]
     pub fn is_in_range(&self, counts: f64) -> bool {
         (0.0..=self.counts_full_scale).contains(&counts)

@@ -24,13 +24,13 @@ pub struct Location {
 }
 
 impl Location {
-    /// The first character of `file`: for what is wrong with the file as a whole.
+    /// Returns the first character of `file`: for what is wrong with the file as a whole.
     #[must_use]
     pub fn start_of(file: &Path) -> Self {
         Self { file: file.to_path_buf(), line: 1, column: 1 }
     }
 
-    /// The place of the byte at `offset` in `text`, the whole content of `file`.
+    /// Returns the place of the byte at `offset` in `text`, the whole content of `file`.
     ///
     /// An offset inside a character is that character's; one beyond the end is the end.
     #[must_use]
@@ -90,13 +90,13 @@ impl BadInput {
         Self { place, rule: rule.into(), help: None, others: Vec::new(), unlisted: 0 }
     }
 
-    /// The same, with what to do about it.
+    /// Returns the same, with what to do about it.
     #[must_use]
     pub fn with_help(self, help: impl Into<String>) -> Self {
         Self { help: Some(help.into()), ..self }
     }
 
-    /// All of these as one: the first in the file, with the others; `None` where there are none.
+    /// Returns all of these as one: the first in the file, with the others; `None` where there are none.
     #[must_use]
     pub fn gathered(errors: impl IntoIterator<Item = Self>) -> Option<Self> {
         let mut unlisted = 0;
@@ -147,12 +147,12 @@ impl Locations {
         self.line_and_column.insert(key, line_and_column);
     }
 
-    /// Whether `key` stands in the file.
+    /// Returns whether `key` stands in the file.
     pub(crate) fn has(&self, key: &str) -> bool {
         self.line_and_column.contains_key(key)
     }
 
-    /// The place of `key`, else of the nearest section around it, else the start of the file: a
+    /// Returns the place of `key`, else of the nearest section around it, else the start of the file: a
     /// value that came by default has no place of its own.
     #[must_use]
     pub fn of(&self, key: &str) -> Location {
@@ -184,7 +184,7 @@ pub(crate) fn shortened(text: &str) -> String {
     }
 }
 
-/// The candidate that `wrong` was probably meant to be, as an end of a sentence, or nothing.
+/// Returns the candidate that `wrong` was probably meant to be, as an end of a sentence, or nothing.
 pub(crate) fn did_you_mean<'a>(
     wrong: &str,
     candidates: impl IntoIterator<Item = &'a str>,

@@ -97,14 +97,14 @@ impl Situation<'_> {
         direction: [f64::NAN; 3],
     };
 
-    /// The temperature of `column`; NaN if it is missing.
+    /// Returns the temperature of `column`; NaN if it is missing.
     #[must_use]
     pub fn temperature_c(&self, column: &str) -> f64 {
         let found = self.temperatures_c.iter().find(|(name, _)| *name == column);
         found.map_or(f64::NAN, |&(_, temperature_c)| temperature_c)
     }
 
-    /// The value of another `column`; NaN if it is missing.
+    /// Returns the value of another `column`; NaN if it is missing.
     #[must_use]
     pub fn other(&self, column: &str) -> f64 {
         let found = self.others.iter().find(|(name, _)| *name == column);
@@ -128,7 +128,7 @@ pub struct Values {
 }
 
 impl Values {
-    /// The quantities `elongation`, `dx`, `dy`, `dz`, in this order.
+    /// Returns the quantities `elongation`, `dx`, `dy`, `dz`, in this order.
     #[must_use]
     pub fn all(self) -> [f64; 4] {
         let [dx, dy, dz] = self.error_um;
@@ -162,7 +162,7 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// The error on X, Y and Z: the sum of the parts.
+    /// Returns the error on X, Y and Z: the sum of the parts.
     #[must_use]
     pub fn error_um(&self) -> [f64; 3] {
         let parts = [
@@ -212,13 +212,13 @@ impl<'m> ReferenceModel<'m> {
         Self::of(Cow::Borrowed(machine))
     }
 
-    /// The same, with a machine of its own.
+    /// Returns the same, with a machine of its own.
     #[must_use]
     pub fn owning(machine: Machine) -> ReferenceModel<'static> {
         ReferenceModel::of(Cow::Owned(machine))
     }
 
-    /// The same, of a machine that may be its own.
+    /// Returns the same, of a machine that may be its own.
     pub(crate) fn of(machine: Cow<'m, Machine>) -> Self {
         let (mut machine, falling) = corrected(machine);
         if !machine.terms.is_sorted_by_key(|term| term.effect.stage()) {
@@ -228,7 +228,7 @@ impl<'m> ReferenceModel<'m> {
         Self { machine, falling, late, time_s: None, state: State::default() }
     }
 
-    /// The model's values for the next row of the run, but for a `time-shift`, which needs the whole
+    /// Returns the model's values for the next row of the run, but for a `time-shift`, which needs the whole
     /// run ([`shifted`]). Where time runs back, the run starts anew.
     pub fn step(&mut self, situation: &Situation<'_>) -> Parts {
         let time_s = situation.time_s.unwrap_or(f64::NAN);
@@ -336,7 +336,7 @@ impl<'m> ReferenceModel<'m> {
     }
 }
 
-/// The columns of a run without which [`ReferenceModel`] has no values for `machine`: `time_s` where
+/// Returns the columns of a run without which [`ReferenceModel`] has no values for `machine`: `time_s` where
 /// there is a lag or a warm-up, `sensor_counts`, temperatures, positions, angles, in this order,
 /// then what its terms need beyond that. `dir_*` is never among them, because it may be missing,
 /// and `spindle_rpm` only for a term.
@@ -379,7 +379,7 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
 }
 
 impl Machine {
-    /// The elongation in µm by the displacement sensor: 0 where it is not the source, NaN for a
+    /// Returns the elongation in µm by the displacement sensor: 0 where it is not the source, NaN for a
     /// missing count.
     #[must_use]
     pub fn elongation_um(&self, sensor_counts: f64) -> f64 {
@@ -389,7 +389,7 @@ impl Machine {
         }
     }
 
-    /// The law of the displacement sensor, where the board runs it: it is the source of the
+    /// Returns the law of the displacement sensor, where the board runs it: it is the source of the
     /// elongation, or connected and so what the board falls back to.
     #[must_use]
     pub fn sensor_on_board(&self) -> Option<&SensorModel> {
@@ -399,7 +399,7 @@ impl Machine {
         self.spindle.sensor.as_ref().filter(|_| is_run)
     }
 
-    /// Whether there is anything that the tool grows by.
+    /// Returns whether there is anything that the tool grows by.
     #[must_use]
     pub fn has_elongation(&self) -> bool {
         self.spindle.source.is_some()
@@ -407,7 +407,7 @@ impl Machine {
             || self.terms.iter().any(|term| term.quantity == Quantity::Elongation)
     }
 
-    /// The machine without the terms that only explain: what the board is to correct.
+    /// Returns the machine without the terms that only explain: what the board is to correct.
     #[must_use]
     pub fn compensated(&self) -> Cow<'_, Self> {
         let is_compensated = |term: &Term| term.effect.is_compensated();
@@ -419,12 +419,12 @@ impl Machine {
         Cow::Owned(machine)
     }
 
-    /// The angles between axes that are not right: what is written as 0 needs no position.
+    /// Returns the angles between axes that are not right: what is written as 0 needs no position.
     fn angles(&self) -> impl Iterator<Item = &crate::file::Squareness> {
         self.squareness.iter().filter(|angle| angle.um_per_m != 0.0)
     }
 
-    /// Whether any part of the model depends on where `axis` is.
+    /// Returns whether any part of the model depends on where `axis` is.
     fn needs_position(&self, axis: LinearAxis) -> bool {
         let own = &self.axes[axis.index()];
         own.pitch.is_some()

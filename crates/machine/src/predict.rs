@@ -70,14 +70,14 @@ pub struct Prediction {
 }
 
 impl Prediction {
-    /// The largest difference between the bridge and the model, in nm, of the columns that are written; `None`
+    /// Returns the largest difference between the bridge and the model, in nm, of the columns that are written; `None`
     /// without a bridge or a value.
     #[must_use]
     pub fn difference_nm(&self) -> Option<f64> {
         self.apart_nm(self.model)
     }
 
-    /// The same between the bridge and what it is to correct: what its arithmetic costs.
+    /// Returns the same between the bridge and what it is to correct: what its arithmetic costs.
     #[must_use]
     pub fn arithmetic_nm(&self) -> Option<f64> {
         self.apart_nm(self.compensated)
@@ -122,7 +122,7 @@ pub struct Written {
 }
 
 impl<'a> Predictor<'a> {
-    /// The prediction of `machine` for `run`.
+    /// Returns the prediction of `machine` for `run`.
     ///
     /// `[inputs]` may be missing: without the sensor that is the source there is no bridge side
     /// then; temperatures are taken to be on channels of their own.
@@ -157,7 +157,7 @@ impl<'a> Predictor<'a> {
         self.bridge.as_ref().err().map(String::as_str)
     }
 
-    /// The largest difference between bridge and model that `compile` promises, in nm: those of all parts of
+    /// Returns the largest difference between bridge and model that `compile` promises, in nm: those of all parts of
     /// the calibration together, and [`WIRE_STEP_NM`]. `None` without a bridge.
     #[must_use]
     pub fn promised_nm(&self) -> Option<f64> {
@@ -165,7 +165,7 @@ impl<'a> Predictor<'a> {
         Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_STEP_NM)
     }
 
-    /// The terms that only explain, by their causes: the model has them, and the board does not run them.
+    /// Returns the terms that only explain, by their causes: the model has them, and the board does not run them.
     #[must_use]
     pub fn not_run(&self) -> Vec<&'static str> {
         let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
@@ -179,7 +179,7 @@ impl<'a> Predictor<'a> {
         &self.missing
     }
 
-    /// Both sides, row by row: heat is a state.
+    /// Returns both sides, row by row: heat is a state.
     pub fn rows(&self) -> impl Iterator<Item = Prediction> {
         let mut model = self.model();
         let compensated = self.machine.compensated();
@@ -207,8 +207,8 @@ impl<'a> Predictor<'a> {
         })
     }
 
-    /// The model's values row by row. A thermometer that is late is looked after beforehand; a time shift looks ahead and back, so that all of them are
-    /// there before the first is given; otherwise none is kept.
+    /// Returns the model's values row by row. A thermometer that is late is looked after beforehand; a time shift looks
+    /// ahead and back, so that all of them are there before the first is given; otherwise none is kept.
     #[must_use]
     pub fn model(&self) -> Box<dyn Iterator<Item = Values> + '_> {
         let mut reference = ReferenceModel::new(self.machine);
@@ -287,7 +287,7 @@ impl<'a> Predictor<'a> {
         Ok(written)
     }
 
-    /// What a row that lies between two steps of the board's heat may be off beside the promise, in nm: the
+    /// Returns what a row that lies between two steps of the board's heat may be off beside the promise, in nm: the
     /// model's change since the row before, by the share of the time that the step is early or late. A lag
     /// is never faster at the end of an interval than in its mean; twice that.
     fn between_steps_nm(&self, row: usize, before: Values, now: Values) -> f64 {
@@ -334,7 +334,7 @@ impl<'a> Predictor<'a> {
     }
 }
 
-/// Whether no quantity that the machine's model describes can be had from these columns.
+/// Returns whether no quantity that the machine's model describes can be had from these columns.
 fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
     // A row in which every column that is there has a value.
     let there = |column: &Option<&[f64]>| column.map_or(f64::NAN, |_| 1.0);

@@ -97,13 +97,13 @@ impl RunFile {
         Ok(Self { path, columns, header_line, line_of_row, slips, labels, epoch_s })
     }
 
-    /// The path under which the run was read.
+    /// Returns the path under which the run was read.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The number of rows, at least 1.
+    /// Returns the number of rows, at least 1.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.line_of_row.len()
@@ -116,19 +116,19 @@ impl RunFile {
         self.epoch_s
     }
 
-    /// All columns, in the order of the file.
+    /// Returns all columns, in the order of the file.
     #[must_use]
     pub fn columns(&self) -> &[Column] {
         &self.columns
     }
 
-    /// The values of the column `name`, NaN where missing; `None` if there is no such column.
+    /// Returns the values of the column `name`, NaN where missing; `None` if there is no such column.
     #[must_use]
     pub fn column(&self, name: &str) -> Option<&[f64]> {
         self.columns.iter().find(|column| column.name == name).map(|column| &column.values[..])
     }
 
-    /// The values of the column `name`, NaN where missing.
+    /// Returns the values of the column `name`, NaN where missing.
     ///
     /// # Errors
     /// There is no such column: the rule lists those that are there.
@@ -193,7 +193,8 @@ impl RunFile {
         }
     }
 
-    /// The first `rows` rows, with what `change` makes of the values of each column: a run that was not measured.
+    /// Returns the first `rows` rows, with what `change` makes of the values of each column: a run that was not
+    /// measured.
     #[must_use]
     pub fn altered(&self, rows: usize, mut change: impl FnMut(&str, &mut [f64])) -> Self {
         let rows = rows.min(self.rows());

@@ -14,7 +14,7 @@ use crate::{
     run_file::KNOWN_COLUMNS,
 };
 
-/// The machine file as a JSON schema.
+/// Returns the machine file as a JSON schema.
 #[must_use]
 pub fn machine_file() -> Value {
     let mut schema = table(FILE);
@@ -32,14 +32,14 @@ pub fn machine_file() -> Value {
     schema
 }
 
-/// The columns of a run that are known, each with its unit and meaning.
+/// Returns the columns of a run that are known, each with its unit and meaning.
 #[must_use]
 pub fn run_columns() -> Value {
     let column = |it: &crate::run_file::KnownColumn| json!({"name": it.name, "unit": it.unit, "description": plain(it.meaning)});
     KNOWN_COLUMNS.iter().map(column).collect()
 }
 
-/// A meaning without the marks of Markdown.
+/// Returns a meaning without the marks of Markdown.
 fn plain(meaning: &str) -> String {
     meaning.replace('`', "")
 }
@@ -113,7 +113,7 @@ fn value(key: &Key) -> Value {
     schema
 }
 
-/// A term: the keys that all have, and those of its cause.
+/// Returns a term: the keys that all have, and those of its cause.
 fn term() -> Value {
     let causes: Vec<Value> = Cause::ALL
         .iter()
@@ -133,7 +133,7 @@ fn term() -> Value {
     schema
 }
 
-/// The keys of a cause besides those that all have: which of them go together depends on what stands
+/// Returns the keys of a cause besides those that all have: which of them go together depends on what stands
 /// there, so that the page is asked beside each of them.
 #[must_use]
 pub fn keys_of(cause: Cause) -> Vec<&'static str> {
@@ -151,7 +151,7 @@ pub fn keys_of(cause: Cause) -> Vec<&'static str> {
     names
 }
 
-/// The machine file's keys as a table of Markdown.
+/// Returns the machine file's keys as a table of Markdown.
 #[must_use]
 pub fn machine_table() -> String {
     let mut rows =
@@ -236,7 +236,7 @@ fn range(key: &Key) -> String {
     }
 }
 
-/// The known columns of a run as a table of Markdown.
+/// Returns the known columns of a run as a table of Markdown.
 #[must_use]
 pub fn run_table() -> String {
     let mut rows = "| column | unit | what |\n|---|---|---|\n".to_string();

@@ -66,7 +66,7 @@ pub fn show(calibration: &Calibration<'_>) -> Shown {
     Shown { toml: format!("# {verdict}\n\n{toml}"), largest_difference_nm }
 }
 
-/// The section with what a reader must know of its values.
+/// Returns the section with what a reader must know of its values.
 fn explained(section: NewSection, machine: &Machine) -> NewSection {
     let sensor = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
     match section.name() {

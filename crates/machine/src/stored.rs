@@ -21,14 +21,14 @@ pub(crate) const GRADIENT_PER_UM_PER_M: f64 = 1e-5 * (1_u64 << Gradient::FRACTIO
 pub(crate) const SLOPE_PER_KELVIN: f64 =
     (1_u64 << (SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS)) as f64 / PER_KELVIN;
 
-/// The nearest integer, or `None` where `i32` does not reach.
+/// Returns the nearest integer, or `None` where `i32` does not reach.
 pub(crate) fn rounded(value: f64) -> Option<i32> {
     let nearest = value.round();
     #[expect(clippy::cast_possible_truncation, reason = "held to the range of i32")]
     (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(&nearest).then_some(nearest as i32)
 }
 
-/// The nearest integer, or `None` where `u32` does not reach.
+/// Returns the nearest integer, or `None` where `u32` does not reach.
 pub(crate) fn rounded_unsigned(value: f64) -> Option<u32> {
     let nearest = value.round();
     #[expect(
@@ -39,7 +39,7 @@ pub(crate) fn rounded_unsigned(value: f64) -> Option<u32> {
     (0.0..=f64::from(u32::MAX)).contains(&nearest).then_some(nearest as u32)
 }
 
-/// The number with the fewest decimals near `exact` that is `same` for the board.
+/// Returns the number with the fewest decimals near `exact` that is `same` for the board.
 pub(crate) fn fewest_decimals(exact: f64, same: impl Fn(f64) -> bool) -> f64 {
     const MOST_DECIMALS: i32 = 15;
     let rounded = |decimals: i32| {
@@ -50,7 +50,7 @@ pub(crate) fn fewest_decimals(exact: f64, same: impl Fn(f64) -> bool) -> f64 {
     (0..=MOST_DECIMALS).map(rounded).find(|&number| same(number)).unwrap_or(exact)
 }
 
-/// What a user writes for `stored`, of which `per_unit` are one of the user's unit.
+/// Returns what a user writes for `stored`, of which `per_unit` are one of the user's unit.
 pub(crate) fn written(stored: impl Into<f64>, per_unit: f64) -> f64 {
     let stored = stored.into();
     fewest_decimals(stored / per_unit, |number| (number * per_unit - stored).abs() < 0.49)

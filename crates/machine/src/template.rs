@@ -69,7 +69,7 @@ impl Control {
         }
     }
 
-    /// The counts of the sensor in its run files: an S7 input ends at 27648.
+    /// Returns the counts of the sensor in its run files: an S7 input ends at 27648.
     fn counts_full_scale(self) -> u32 {
         if self == Self::Siemens { 27_648 } else { 32_768 }
     }
@@ -78,7 +78,7 @@ impl Control {
 /// What the divider of the wiring makes of 10 V: 20.0 kΩ over 9.76 kΩ.
 const WIRED: (f64, f64) = (10.0, 0.328);
 
-/// The divider for a sensor of so many volts: the wiring's, else what leaves 20 mV below the converter's
+/// Returns the divider for a sensor of so many volts: the wiring's, else what leaves 20 mV below the converter's
 /// reference, as that does.
 fn divider(volts: f64) -> f64 {
     const SPARE_VOLTS: f64 = 0.02;
@@ -89,7 +89,7 @@ fn divider(volts: f64) -> f64 {
 }
 
 impl Template {
-    /// The machine file; `file` is its name in the commands that it tells.
+    /// Returns the machine file; `file` is its name in the commands that it tells.
     #[must_use]
     pub fn to_toml(&self, file: &str) -> String {
         let mut text = String::new();
@@ -158,7 +158,7 @@ impl Template {
         self.write_next(out, file)
     }
 
-    /// The commands that come next, each as it can be typed.
+    /// Returns the commands that come next, each as it can be typed.
     fn write_next(&self, out: &mut String, file: &str) -> std::fmt::Result {
         let (program, export) = self.control.names();
         // An ending of its own for each step: no command overwrites what it reads.
@@ -216,7 +216,7 @@ impl Template {
         Ok(())
     }
 
-    /// The range of the first axis in a program of a lathe: the half that is away from the work.
+    /// Returns the range of the first axis in a program of a lathe: the half that is away from the work.
     fn range_of_first(&self) -> String {
         match self.axes.first() {
             Some((axis, [low, high])) if self.kind == Kind::Lathe || *axis == LinearAxis::Z => {

@@ -173,7 +173,7 @@ impl Channel {
         Self { steps: steps.collect(), rows, values }
     }
 
-    /// The largest ordinary step. The spacings of the largest of many values with an exponential tail are
+    /// Returns the largest ordinary step. The spacings of the largest of many values with an exponential tail are
     /// exponential, with the scale of the tail; a wider one parts steps of another kind from them.
     fn largest_ordinary_step(&self) -> Option<f64> {
         let mut sizes: Vec<f64> = self.steps.iter().map(|step| step.abs()).collect();
@@ -254,7 +254,7 @@ impl Channel {
         faults
     }
 
-    /// The run of equal values that a step begins or ends, if there is none half as long elsewhere: then
+    /// Returns the run of equal values that a step begins or ends, if there is none half as long elsewhere: then
     /// the channel stood still there, and the step is what it missed.
     fn standing_beside(&self, step: usize) -> Option<Fault> {
         let mut runs = runs_of_equal(&self.values);
@@ -276,14 +276,14 @@ impl Channel {
         Fault::Frozen { shown: self.values[run.start], rows }
     }
 
-    /// Whether a stretch that stands still begins and ends, where it does, by a complete step.
+    /// Returns whether a stretch that stands still begins and ends, where it does, by a complete step.
     fn is_sudden(&self, stretch: &Range<usize>, last: usize, all: &[Range<usize>]) -> bool {
         let before = (*stretch != all[0]).then(|| stretch.start - 1);
         let after = (*stretch != all[last]).then(|| stretch.end - 1);
         before.into_iter().chain(after).all(|step| self.is_complete(step))
     }
 
-    /// Whether a step is complete from one row to the next.
+    /// Returns whether a step is complete from one row to the next.
     fn is_complete(&self, step: usize) -> bool {
         let by = self.steps[step];
         let neighbours = [step.checked_sub(1), Some(step + 1)].into_iter().flatten();
@@ -353,7 +353,7 @@ fn usual_hold(runs: &[Range<usize>]) -> usize {
     lengths.get(lengths.len() / 10).copied().unwrap_or(1)
 }
 
-/// The share of values that are not the median of those around them: of anything that rises or falls,
+/// Returns the share of values that are not the median of those around them: of anything that rises or falls,
 /// none; of noise, some.
 fn flickering(values: &[f64]) -> f64 {
     let differs = |window: &&[f64]| {

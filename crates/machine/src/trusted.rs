@@ -113,7 +113,7 @@ fn spacing(run: &RunFile) -> (Vec<bool>, Vec<bool>) {
     )
 }
 
-/// Whether rows so far apart are near; where a time is missing, nothing says that they are not.
+/// Returns whether rows so far apart are near; where a time is missing, nothing says that they are not.
 fn follows_in_time(apart_s: f64) -> bool {
     apart_s.is_nan() || (0.0..=FAST_S).contains(&apart_s)
 }
@@ -155,7 +155,7 @@ pub fn with_directions(mut run: RunFile, machine: Option<&Machine>) -> (RunFile,
     (run, warnings)
 }
 
-/// Whether anything that the machine file says of an axis depends on the direction of approach.
+/// Returns whether anything that the machine file says of an axis depends on the direction of approach.
 fn goes_by_direction(machine: &Machine, axis: LinearAxis) -> bool {
     let model = &machine.axes[axis.index()];
     let by_table = model.pitch.iter().chain(model.dual.as_ref().map(|dual| &dual.pitch));

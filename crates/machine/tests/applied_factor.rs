@@ -62,7 +62,7 @@ const RIGHT: Case = Case {
     rows: 240,
 };
 
-/// A record of a shift: warm for 60 %, then cooling.
+/// Returns a record of a shift: warm for 60 %, then cooling.
 fn record(case: Case, engaged: Engaged, quantity: Quantity, seed: u64) -> RunFile {
     let mut generator = Generator::new(seed);
     let (mut front_c, mut part_c) = (20.0_f64, 20.0_f64);

@@ -126,7 +126,7 @@ fn a_file_that_cannot_be_read_is_refused_by_name() {
     assert!(folder.rule.starts_with("cannot be read: "), "{folder}");
 }
 
-/// The complaint about a source that is never in memory as a whole.
+/// Returns the complaint about a source that is never in memory as a whole.
 fn error_of_source(source: impl Read) -> String {
     let read = RunFile::from_reader(BufReader::new(source), Path::new("bad.csv"));
     read.map(|_| ()).expect_err("out of bounds").to_string()

@@ -27,7 +27,7 @@ fn run(csv: &str) -> RunFile {
     RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).unwrap_or_else(|it| panic!("{it}"))
 }
 
-/// The model's elongations, each within a nanometre of the board's.
+/// Returns the model's elongations, each within a nanometre of the board's.
 fn elongations_um(machine: &Machine, run: &RunFile) -> Vec<f64> {
     let predictor = Predictor::new(machine, run).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(predictor.why_no_bridge(), None);

@@ -7,7 +7,7 @@ use trueup_machine::{
     envelope::{InputRanges, cancelling, excess, states},
 };
 
-/// A spindle that grows by 1.8 µm for each kelvin of its front bearing; Z held to `max_z_um`.
+/// Returns a spindle that grows by 1.8 µm for each kelvin of its front bearing; Z held to `max_z_um`.
 fn machine(max_z_um: f64, terms: &str) -> Machine {
     let text = format!(
         "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ntemp_front_c = {{ channel = 0, kind = \"pt100\" }}\n\
@@ -18,7 +18,7 @@ fn machine(max_z_um: f64, terms: &str) -> Machine {
     MachineFile::parse(&text, Path::new("m.toml")).expect("the test's own file")
 }
 
-/// A zero and a first rise from `start_s` of the record's own clock on.
+/// Returns a zero and a first rise from `start_s` of the record's own clock on.
 fn pair(offset_um: f64, amplitude_um: f64) -> String {
     format!(
         "[[term]]\ncause = \"sensor-offset\"\nquantity = \"elongation\"\noffset_um = {offset_um}\n\

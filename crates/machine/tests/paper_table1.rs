@@ -18,7 +18,7 @@ fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data").join(name)
 }
 
-/// The paper's elongation from the counts, and the dial gauge's, row by row, in µm.
+/// Returns the paper's elongation from the counts, and the dial gauge's, row by row, in µm.
 fn model_and_dial() -> (Vec<f64>, Vec<f64>) {
     let machine = MachineFile::read(&data("paper_spindle.toml")).expect("the project's own file");
     let run = RunFile::read(&data("spindle_paper_table1.csv")).expect("the project's own file");

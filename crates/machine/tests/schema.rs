@@ -222,7 +222,7 @@ fn lines(name: &str, keys: &[Key], more: &[(&str, &str)], text: &mut String) {
     }
 }
 
-/// A file with this section, what it cannot be without, and `more` in it.
+/// Returns a file with this section, what it cannot be without, and `more` in it.
 fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     let mut text = String::new();
     let machine = FILE.iter().find(|key| key.name == "machine").expect("the first");

@@ -55,7 +55,7 @@ impl Random {
         }
     }
 
-    /// A sensor, a direction and limits that the compiler could have written, in `calibration`.
+    /// Returns a sensor, a direction and limits that the compiler could have written, in `calibration`.
     fn change<'c>(&mut self, calibration: &Calibration<'c>) -> Calibration<'c> {
         let mut calibration = *calibration;
         calibration.kinematics.zero = stored(self.unit_vector());
@@ -109,7 +109,7 @@ fn compiled(toml: &str) -> Compiled {
     compile(&machine).unwrap_or_else(|error| panic!("{error}\n{toml}"))
 }
 
-/// A 3-axis machine of `sections`.
+/// Returns a 3-axis machine of `sections`.
 fn machine(sections: &str) -> Compiled {
     compiled(&format!("[machine]\nname = \"mill\"\nkind = \"3-axis\"\n{sections}"))
 }

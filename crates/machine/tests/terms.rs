@@ -43,7 +43,7 @@ fn machine(sections: &str, terms: &str) -> Machine {
     MachineFile::parse(&text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// What the machine predicts for `quantity` in each row of `csv`.
+/// Returns what the machine predicts for `quantity` in each row of `csv`.
 fn predicted(sections: &str, terms: &str, quantity: Quantity, csv: &str) -> Vec<f64> {
     let machine = machine(sections, terms);
     let run = RunFile::from_reader(csv.as_bytes(), Path::new("r.csv")).expect("a run");
@@ -316,7 +316,7 @@ fn the_board_runs_one_thermal_law_for_an_axis() {
     assert!(both.to_string().contains("term[1] is too much: the board runs one"), "{both}");
 }
 
-/// One of each, so that a new cause without a line here is noticed.
+/// Returns one of each, so that a new cause without a line here is noticed.
 fn one_of_each() -> Vec<(&'static str, String)> {
     let wave =
         "period_mm = 5.0\nharmonic = [1, 4]\namplitude_um = [1.0, 0.1]\nphase_deg = [0.1, 7.0]";

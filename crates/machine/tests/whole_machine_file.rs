@@ -91,7 +91,7 @@ fn parse(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("the test's own machine file")
 }
 
-/// A machine of `sections` and nothing else.
+/// Returns a machine of `sections` and nothing else.
 fn machine(sections: &str) -> Machine {
     parse(&format!("[machine]\nname = \"mill\"\nkind = \"3-axis\"\n{sections}"))
 }

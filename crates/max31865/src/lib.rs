@@ -81,7 +81,7 @@ const LIMITS: [u8; 4] = {
     [high, high_low, low, low_low]
 };
 
-/// The register's content for a resistance: the ratio, rounded down, above the fault bit.
+/// Returns the register's content for a resistance: the ratio, rounded down, above the fault bit.
 #[allow(
     clippy::arithmetic_side_effects,
     clippy::cast_possible_truncation,
@@ -168,13 +168,13 @@ impl Converter {
         Self { mains, ..Self::default() }
     }
 
-    /// What it said last.
+    /// Returns what it said last.
     #[must_use]
     pub fn reading(&self) -> Reading {
         self.reading
     }
 
-    /// One turn, of at most two selections of 9 bytes together 11.
+    /// Returns one turn, of at most two selections of 9 bytes together 11.
     ///
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
     pub fn turn(&mut self, spi: &mut impl SpiDevice) -> Reading {

@@ -259,7 +259,7 @@ fn a_fault_of_a_moment_is_seen_though_it_is_over_when_it_is_read() {
     good(turns(&mut converter, &mut chip, 5));
 }
 
-/// One selection: what is sent, and what comes back meanwhile.
+/// Returns one selection: what is sent, and what comes back meanwhile.
 fn selection(sent: &[u8], back: &[u8]) -> Vec<Transaction<u8>> {
     std::vec![
         Transaction::transaction_start(),

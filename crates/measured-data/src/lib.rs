@@ -15,7 +15,7 @@ use std::{
 /// The environment variable that names the folder.
 pub const VARIABLE: &str = "TRUEUP_DATA";
 
-/// The path of a measured file, `None` where it is not there; a line says so then.
+/// Returns the path of a measured file, `None` where it is not there; a line says so then.
 ///
 /// `name` is its path below the folder, `ess_iso230/x.csv` say.
 #[must_use]

@@ -67,7 +67,7 @@ pub struct Cnc {
 }
 
 impl Cnc {
-    /// The registers, as a PLC has to make them.
+    /// Returns the registers, as a PLC has to make them.
     #[must_use]
     pub fn encode(&self, counter: u16) -> Registers {
         let mut block = [0; WHOLE_HOLDING_LEN];
@@ -118,7 +118,7 @@ impl Cnc {
 
     // On a board it is to be small, whoever calls it.
     #[inline(never)]
-    /// What the registers say, their protection aside; `None`: a bit or a direction without meaning, or
+    /// Returns what the registers say, their protection aside; `None`: a bit or a direction without meaning, or
     /// an angle beyond what a number holds.
     fn decode(block: &Registers) -> Option<Self> {
         let (control, present) = (get(block, CONTROL), get(block, PRESENT));
@@ -200,7 +200,7 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// What this block says, if it is to be used. The first whole block sets the counter.
+    /// Returns what this block says, if it is to be used. The first whole block sets the counter.
     ///
     /// # Errors
     /// The block must not be used. After [`Refused::WrongSequence`] the next in order is taken.

@@ -43,7 +43,7 @@ pub struct Input {
 }
 
 impl Input {
-    /// The registers. Offsets are rounded to 10 nm, halves away from zero.
+    /// Returns the registers. Offsets are rounded to 10 nm, halves away from zero.
     #[must_use]
     pub fn encode(&self) -> Registers {
         let mut block = [0; INPUT_LEN];
@@ -69,7 +69,7 @@ impl Input {
         block
     }
 
-    /// What the registers say; `None`: half old, damaged, of another layout, or without meaning. An
+    /// Returns what the registers say; `None`: half old, damaged, of another layout, or without meaning. An
     /// offset is available on three axes or on none.
     #[must_use]
     pub fn decode(block: &Registers) -> Option<Self> {

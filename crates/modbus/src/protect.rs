@@ -11,7 +11,7 @@
 
 use trueup_link::e2e::crc_of;
 
-/// The CRC of these registers under this data ID.
+/// Returns the CRC of these registers under this data ID.
 ///
 /// ```
 /// // Over the bytes 31 32 33 34 35 36 37 38, then 00 and 39: not the check value of
@@ -31,7 +31,7 @@ pub fn seal(block: &mut [u16], data_id: u16) {
     }
 }
 
-/// Whether the last register of a block is its CRC.
+/// Returns whether the last register of a block is its CRC.
 #[must_use]
 pub fn is_whole(block: &[u16], data_id: u16) -> bool {
     matches!(block, [covered @ .., last] if crc(covered, data_id) == *last)
@@ -51,12 +51,12 @@ pub(crate) fn put(block: &mut [u16], address: usize, value: u16) {
     }
 }
 
-/// The register at an address; 0 behind the block.
+/// Returns the register at an address; 0 behind the block.
 pub(crate) fn get(block: &[u16], address: usize) -> u16 {
     block.get(address).copied().unwrap_or(0)
 }
 
-/// The number in two registers, the high one first.
+/// Returns the number in two registers, the high one first.
 pub(crate) fn get_long(block: &[u16], address: usize) -> i32 {
     let [a, b] = get(block, address).to_be_bytes();
     let [c, d] = get(block, address.saturating_add(1)).to_be_bytes();

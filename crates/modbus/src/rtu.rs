@@ -76,7 +76,7 @@ pub struct Slave {
 }
 
 impl Slave {
-    /// A slave with this address, 1…247, that has heard nothing.
+    /// Returns a slave with this address, 1…247, that has heard nothing.
     #[must_use]
     pub const fn new(unit: u8, timing: Timing) -> Self {
         Self { unit, timing, bytes: Vec::new(), last_us: 0, is_broken: false }

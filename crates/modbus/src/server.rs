@@ -54,7 +54,7 @@ const MOST_WRITTEN: u16 = 123;
 /// Without a table, which would be half a kilobyte of a board's flash.
 static CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
 
-/// The two bytes behind a serial frame.
+/// Returns the two bytes behind a serial frame.
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> [u8; 2] {
     CHECKSUM.checksum(bytes).to_le_bytes()
@@ -78,9 +78,9 @@ pub struct Busy;
 
 /// What stands behind the registers.
 pub trait Bridge {
-    /// The input block as it is now, of one moment.
+    /// Returns the input block as it is now, of one moment.
     fn input(&mut self) -> input::Registers;
-    /// The holding block that was last taken; zeros before.
+    /// Returns the holding block that was last taken; zeros before.
     fn holding(&mut self) -> cnc::Registers;
     /// Takes a block as it was written. Whether it may be used is for [`cnc::Checker`]; one that may
     /// not is acknowledged, refused and counted.
@@ -130,7 +130,7 @@ pub fn answer(
     }
 }
 
-/// The unit and what it is asked; `None`: no whole frame.
+/// Returns the unit and what it is asked; `None`: no whole frame.
 fn opened(transport: Transport, request: &[u8]) -> Option<(u8, &[u8])> {
     match transport {
         Transport::Tcp => {

@@ -18,7 +18,7 @@ pub enum Form {
 }
 
 impl Form {
-    /// How many registers.
+    /// Returns how many registers.
     #[must_use]
     pub const fn registers(self) -> usize {
         match self {

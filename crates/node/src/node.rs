@@ -136,7 +136,7 @@ pub struct Node<'a> {
 }
 
 impl<'a> Node<'a> {
-    /// A node that has just been switched on. `degraded` marks every frame of a board that runs on a fall-back.
+    /// Returns a node that has just been switched on. `degraded` marks every frame of a board that runs on a fall-back.
     #[must_use]
     pub fn new(calibration: Option<Calibration<'a>>, degraded: bool) -> Self {
         let mut node = Self {
@@ -196,7 +196,7 @@ impl<'a> Node<'a> {
         self.blob = blob;
     }
 
-    /// The blob of the running calibration; empty without one.
+    /// Returns the blob of the running calibration; empty without one.
     #[must_use]
     pub fn blob(&self) -> &'a [u8] {
         self.blob
@@ -237,7 +237,7 @@ impl<'a> Node<'a> {
         self.free_stack = bytes;
     }
 
-    /// A calibration that has come whole, once: it is to be looked at, stored, and given back.
+    /// Returns a calibration that has come whole, once: it is to be looked at, stored, and given back.
     pub fn take_load(&mut self) -> Option<Load<'a>> {
         self.slot.take()
     }
@@ -317,7 +317,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// One tick that ends `elapsed_ms` after the last one. Gives the frames to send.
+    /// Returns one tick that ends `elapsed_ms` after the last one. Gives the frames to send.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {
@@ -338,13 +338,13 @@ impl<'a> Node<'a> {
         [frames::offset_xy(&output, counter), frames::offset_z(&output, counter)]
     }
 
-    /// Whether it is time for [`Node::service`].
+    /// Returns whether it is time for [`Node::service`].
     #[must_use]
     pub fn service_is_due(&self) -> bool {
         self.now.since(self.serviced) >= SERVICE_PERIOD_MS
     }
 
-    /// What there is to say besides the offsets: the heartbeat, an emergency, the status, or the
+    /// Returns what there is to say besides the offsets: the heartbeat, an emergency, the status, or the
     /// answer to an SDO request, in this order, one frame at most. On the bus they share a place, so there are
     /// [`SERVICE_PERIOD_MS`] from one to the next, however often this is called.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
@@ -379,7 +379,7 @@ impl<'a> Node<'a> {
             .or_else(|| self.answer.take())
     }
 
-    /// The heartbeat, if it is due. One that had to wait does not put off those after it.
+    /// Returns the heartbeat, if it is due. One that had to wait does not put off those after it.
     fn heartbeat(&mut self, output: &Output) -> Option<Frame> {
         let period_ms = u32::from(self.heartbeat_period_ms);
         let has_booted = core::mem::replace(&mut self.has_booted, true);
@@ -395,7 +395,7 @@ impl<'a> Node<'a> {
         }))
     }
 
-    /// The status, if it is due: each time about the next item. One that had to wait puts off those after it.
+    /// Returns the status, if it is due: each time about the next item. One that had to wait puts off those after it.
     fn status(&mut self) -> Option<Frame> {
         if self.until_status_ms > 0 {
             return None;
@@ -407,7 +407,7 @@ impl<'a> Node<'a> {
         Some(status::encode(&status, counter))
     }
 
-    /// The time of the last tick.
+    /// Returns the time of the last tick.
     #[must_use]
     pub fn now(&self) -> Millis {
         self.now
@@ -419,13 +419,13 @@ impl<'a> Node<'a> {
         self.blocks
     }
 
-    /// What the last tick gave.
+    /// Returns what the last tick gave.
     #[must_use]
     pub fn last(&self) -> &Output {
         &self.last
     }
 
-    /// What was received and refused so far.
+    /// Returns what was received and refused so far.
     #[must_use]
     pub fn receiver(&self) -> &Receiver {
         &self.receiver

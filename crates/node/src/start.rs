@@ -40,7 +40,7 @@ pub struct Stop {
 }
 
 impl Start {
-    /// How often it was that reason, 0 for a number without one.
+    /// Returns how often it was that reason, 0 for a number without one.
     #[must_use]
     pub fn resets(&self, reason: u8) -> u16 {
         self.counts.get(usize::from(reason)).copied().unwrap_or(0)
@@ -48,14 +48,14 @@ impl Start {
 }
 
 impl Stop {
-    /// The name of the file, without what fills it up; empty without a panic.
+    /// Returns the name of the file, without what fills it up; empty without a panic.
     #[must_use]
     pub fn file(&self) -> &[u8] {
         let start = self.file.iter().take_while(|byte| **byte == 0).count();
         self.file.get(start..).unwrap_or_default()
     }
 
-    /// What is asked, as a number; `None` for the file.
+    /// Returns what is asked, as a number; `None` for the file.
     #[must_use]
     pub const fn number(&self, what: dictionary::Stop) -> Option<u32> {
         Some(match what {

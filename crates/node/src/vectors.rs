@@ -83,13 +83,13 @@ impl Fault {
 pub struct Random(u32);
 
 impl Random {
-    /// The numbers that begin with this seed; 0 counts as 1.
+    /// Returns the numbers that begin with this seed; 0 counts as 1.
     #[must_use]
     pub const fn new(seed: u32) -> Self {
         Self(if seed == 0 { 1 } else { seed })
     }
 
-    /// The next number.
+    /// Returns the next number.
     pub const fn next(&mut self) -> u32 {
         self.0 ^= self.0.wrapping_shl(13);
         self.0 ^= self.0.wrapping_shr(17);
@@ -97,13 +97,13 @@ impl Random {
         self.0
     }
 
-    /// The next number, from 0 to below `end`.
+    /// Returns the next number, from 0 to below `end`.
     #[allow(clippy::cast_possible_truncation, reason = "the high word of a product of two words")]
     pub fn below(&mut self, end: u32) -> u32 {
         (u64::from(self.next()).wrapping_mul(u64::from(end)) >> 32) as u32
     }
 
-    /// The next number, up to `most` either way.
+    /// Returns the next number, up to `most` either way.
     pub fn around(&mut self, most: u32) -> i32 {
         let span = most.wrapping_mul(2).wrapping_add(1);
         self.below(span).wrapping_sub(most).cast_signed()
@@ -134,7 +134,7 @@ pub struct Vectors<'a> {
 }
 
 impl<'a> Vectors<'a> {
-    /// A node that has just been switched on.
+    /// Returns a node that has just been switched on.
     #[must_use]
     pub fn new(calibration: Calibration<'a>, seed: u32, faults: bool) -> Self {
         let mut node = Node::new(Some(calibration), false);
@@ -263,7 +263,7 @@ impl<'a> Vectors<'a> {
         }
     }
 
-    /// The tick of the vector that was prepared.
+    /// Returns the tick of the vector that was prepared.
     #[inline]
     pub fn tick(&mut self) -> Frames {
         let input =
@@ -282,20 +282,20 @@ impl<'a> Vectors<'a> {
         }
     }
 
-    /// The checksum of all frames that were taken.
+    /// Returns the checksum of all frames that were taken.
     #[must_use]
     pub const fn checksum(&self) -> u64 {
         self.checksum
     }
 
-    /// The node that takes the vectors.
+    /// Returns the node that takes the vectors.
     #[must_use]
     pub const fn node(&self) -> &Node<'a> {
         &self.node
     }
 }
 
-/// The checksum of what a node with this calibration sends over so many vectors, faults among them.
+/// Returns the checksum of what a node with this calibration sends over so many vectors, faults among them.
 #[must_use]
 pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
     let mut run = Vectors::new(calibration, 0x7275_6574, true);

@@ -31,7 +31,7 @@ const LINES: usize = 40;
 /// Each has 21 characters and its end.
 const LENGTH: usize = 22;
 
-/// What a CNC sends, frame by frame, each identifier with its own counter.
+/// Returns what a CNC sends, frame by frame, each identifier with its own counter.
 fn commands(count: usize) -> Vec<Frame> {
     let mut random = Random::new(7);
     let mut counters = [250_u8; 6];
@@ -119,7 +119,7 @@ impl Ears {
         Receiver::is_from_cnc(id) || [OFFSET_XY_ID, OFFSET_Z_ID, STATUS_ID].contains(&id)
     }
 
-    /// Whether this is believed.
+    /// Returns whether this is believed.
     fn accept(&mut self, frame: &Frame) -> bool {
         match frame.id() {
             OFFSET_XY_ID | OFFSET_Z_ID => self.offsets.accept(frame).is_ok(),
@@ -187,7 +187,7 @@ fn flip_all(frame: &Frame, mut hear: impl FnMut(&[u8; LENGTH])) {
     }
 }
 
-/// The state of a node that a frame without protection could change.
+/// Returns the state of a node that a frame without protection could change.
 fn settings(node: &Node<'_>) -> String {
     format!("{:?} {:?}", node.reference(), node.last())
 }

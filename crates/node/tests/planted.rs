@@ -97,7 +97,7 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-/// Whether the simulator passes on the code in this folder; what it said.
+/// Returns whether the simulator passes on the code in this folder; what it said.
 fn passes(folder: &Path) -> (bool, String) {
     let run = |arguments: &[&str]| {
         Command::new(env!("CARGO"))

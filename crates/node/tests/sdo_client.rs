@@ -17,7 +17,7 @@ fn node() -> Node<'static> {
     node
 }
 
-/// What the node says to a request, offsets and heartbeats among it; and what a board does.
+/// Returns what the node says to a request, offsets and heartbeats among it; and what a board does.
 fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
     node.hear(Line::Can, &request).expect("an SDO");
     if let Some(load) = node.take_load() {

@@ -15,7 +15,7 @@ use trueup_core::{
 };
 use trueup_node::vectors::{ALL_FAULTS, Vectors};
 
-/// What is seen of the faults in a millisecond: the CNC is lost, the sensor is dead, no offset is followed,
+/// Returns what is seen of the faults in a millisecond: the CNC is lost, the sensor is dead, no offset is followed,
 /// there is no temperature.
 fn seen(run: &Vectors<'_>) -> [bool; 4] {
     let last = run.node().last();

@@ -18,7 +18,7 @@ const BETTER: f64 = 1.0;
 /// Standard errors that are beyond doubt, as 95 % go.
 const CERTAIN: f64 = 2.0;
 
-/// The number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
+/// Returns the number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
 ///
 /// ```
 /// assert_eq!(trueup_numerics::blocks::stretches(6, 3), [0, 0, 1, 1, 2, 2]);
@@ -28,7 +28,7 @@ pub fn stretches(rows: usize, stretches: usize) -> Vec<usize> {
     (0..rows).map(|row| row * stretches / rows).collect()
 }
 
-/// The root of the mean square, in the unit of `values`; 0 of none.
+/// Returns the root of the mean square, in the unit of `values`; 0 of none.
 #[must_use]
 pub fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|v| v * v).sum::<f64>() / values.len().max(1) as f64).sqrt()
@@ -58,14 +58,14 @@ pub struct Paired {
 }
 
 impl Paired {
-    /// Whether what is left after is less than before by more than the standard error of the
+    /// Returns whether what is left after is less than before by more than the standard error of the
     /// difference: else both foresee equally well.
     #[must_use]
     pub fn is_better(&self) -> bool {
         self.gain > BETTER * self.standard_error
     }
 
-    /// Whether it is less by more than two standard errors: beyond doubt, as 95 % go.
+    /// Returns whether it is less by more than two standard errors: beyond doubt, as 95 % go.
     #[must_use]
     pub fn is_certain(&self) -> bool {
         self.gain > CERTAIN * self.standard_error
@@ -99,7 +99,7 @@ impl Blocks {
         sums
     }
 
-    /// What `after` leaves less of the squares than `before`, a value for each row.
+    /// Returns what `after` leaves less of the squares than `before`, a value for each row.
     #[must_use]
     pub fn paired(&self, before: &[f64], after: &[f64]) -> Paired {
         let gains: Vec<f64> = self.sums(before, after).iter().map(|[b, a]| b - a).collect();
@@ -111,7 +111,7 @@ impl Blocks {
         Paired { gain, standard_error, without_best: gain - best }
     }
 
-    /// The reduction of the RMS from `before` to `after`, a value for each row.
+    /// Returns the reduction of the RMS from `before` to `after`, a value for each row.
     #[must_use]
     pub fn reduction(&self, before: &[f64], after: &[f64]) -> Reduction {
         let sums = self.sums(before, after);
@@ -137,7 +137,7 @@ impl Blocks {
     }
 }
 
-/// The most that one of six parts gains, cut as they come or half a part later; at least 0.
+/// Returns the most that one of six parts gains, cut as they come or half a part later; at least 0.
 fn best_part(before: &[f64], after: &[f64]) -> f64 {
     let rows = before.len();
     let mut gains = [vec![0.0; PARTS + 1], vec![0.0; PARTS + 1]];

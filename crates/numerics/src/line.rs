@@ -26,7 +26,7 @@ pub struct LineFit {
 }
 
 impl LineFit {
-    /// The line's value at `x`.
+    /// Returns the line's value at `x`.
     #[must_use]
     pub fn at(&self, x: f64) -> f64 {
         self.gain * x + self.offset
@@ -82,7 +82,7 @@ impl fmt::Display for FitError {
 
 impl Error for FitError {}
 
-/// The line of least squares through (`x`, `y`); rows in which either is missing (NaN) take no
+/// Returns the line of least squares through (`x`, `y`); rows in which either is missing (NaN) take no
 /// part.
 ///
 /// # Errors

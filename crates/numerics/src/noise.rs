@@ -46,7 +46,7 @@ const ROOTS: f64 = 2.0;
 /// Memories in a record, at least.
 const IN_RECORD: f64 = 6.0;
 
-/// The longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
+/// Returns the longest correlation time in steps that `rows` rows can show: 2·√n, as the bandwidth of
 /// consistent covariance estimates grows, and never more than a sixth of the record.
 pub fn longest_memory(rows: usize) -> f64 {
     let rows = rows as f64;
@@ -208,7 +208,7 @@ pub fn covariance_times(noise: Noise, steps: &Steps, values: &[f64]) -> Vec<f64>
     out
 }
 
-/// How many independent rows are worth as much for a mean as these correlated ones.
+/// Returns how many independent rows are worth as much for a mean as these correlated ones.
 pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
     let rows = steps.0.len();
     let ones = vec![1.0; rows];
@@ -257,13 +257,13 @@ pub fn deviances<const NOISES: usize>(
     std::array::from_fn(|n| rows * (sum[n] / rows).max(f64::MIN_POSITIVE).ln() + log_det[n])
 }
 
-/// The same of one noise.
+/// Returns the same of one noise.
 pub fn deviance(noise: Noise, steps: &Steps, residual: &[f64]) -> f64 {
     let [deviance] = deviances([noise], steps, residual);
     deviance
 }
 
-/// A grid of noises up to `longest` steps of memory; the first is white.
+/// Returns a grid of noises up to `longest` steps of memory; the first is white.
 pub fn grid(longest: f64) -> Vec<Noise> {
     let mut noises = vec![Noise::WHITE];
     let mut memory = longest;
@@ -276,7 +276,7 @@ pub fn grid(longest: f64) -> Vec<Noise> {
     noises
 }
 
-/// The most likely noise of a residual, its memory at most `longest`.
+/// Returns the most likely noise of a residual, its memory at most `longest`.
 ///
 /// `parameters` have been fitted to the residual: each takes a piece of the slow part away, which a
 /// plain maximum of the likelihood would read as a shorter memory. The memory is corrected for it
@@ -326,7 +326,7 @@ pub fn estimate(residual: &[f64], steps: &Steps, longest: f64, parameters: usize
     Noise { memory, ..best.1 }
 }
 
-/// A draw of the noise at variance 1.
+/// Returns a draw of the noise at variance 1.
 pub fn draw(noise: Noise, steps: &Steps, generator: &mut Generator) -> Vec<f64> {
     let slow = (1.0 - noise.white).sqrt();
     let quick = noise.white.sqrt();

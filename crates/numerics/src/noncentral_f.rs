@@ -20,7 +20,7 @@ const MOST: f64 = 2e5;
 /// Weights of the sum below this are left out.
 const NO_WEIGHT: f64 = 1e-17;
 
-/// The chance, 0…1, that an F test at the level `significance` with `constants` and `freedom` degrees of
+/// Returns the chance, 0…1, that an F test at the level `significance` with `constants` and `freedom` degrees of
 /// freedom finds an effect of this `noncentrality`; 0 where nothing is left to test with.
 ///
 /// ```
@@ -56,7 +56,7 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
     (1.0 - sum).clamp(0.0, 1.0)
 }
 
-/// The noncentrality that such a test finds with the chance `wanted`; infinite where none does.
+/// Returns the noncentrality that such a test finds with the chance `wanted`; infinite where none does.
 #[must_use]
 pub fn noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f64) -> f64 {
     let finds = |lambda: f64| power(significance, constants, freedom, lambda) >= wanted;

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-/// What `of` makes of each of `items`, on all cores; on this core alone where the work is not worth
+/// Returns what `of` makes of each of `items`, on all cores; on this core alone where the work is not worth
 /// the threads.
 pub fn on_all_cores<T: Sync, R: Send>(
     items: &[T],
@@ -12,7 +12,7 @@ pub fn on_all_cores<T: Sync, R: Send>(
     if is_worth { items.par_iter().map(of).collect() } else { items.iter().map(of).collect() }
 }
 
-/// Two pieces of work at once.
+/// Returns two pieces of work at once.
 pub fn both<A: Send, B: Send>(
     one: impl FnOnce() -> A + Send,
     other: impl FnOnce() -> B + Send,

@@ -16,13 +16,13 @@ use rand_distr::StandardNormal;
 pub struct Generator(ChaCha8Rng);
 
 impl Generator {
-    /// The sequence of this seed.
+    /// Returns the sequence of this seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
 
-    /// A whole number from 0 to below `end`, each as likely as any other.
+    /// Returns a whole number from 0 to below `end`, each as likely as any other.
     ///
     /// # Panics
     /// `end` is 0.

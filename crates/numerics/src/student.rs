@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-/// The `probability` quantile of Student's t; infinite without degrees of freedom.
+/// Returns the `probability` quantile of Student's t; infinite without degrees of freedom.
 ///
 /// ```
 /// assert!((trueup_numerics::t_quantile(0.975, 10.0) - 2.228_138_9).abs() < 1e-6);

@@ -161,7 +161,7 @@ fn gauss_newton(model: &impl Model, set: &Set, step: Step) -> Vec<f64> {
     b
 }
 
-/// A quotient of polynomials in x, `above` coefficients over 1 + the rest.
+/// Returns a quotient of polynomials in x, `above` coefficients over 1 + the rest.
 fn rational(above: usize) -> impl Fn(f64, &[f64], &mut [f64]) -> f64 {
     move |x, b, derivatives| {
         let (numerator, denominator) = b.split_at(above);

@@ -10,7 +10,7 @@ use trueup_numerics::{
     random::Generator,
 };
 
-/// The shorter of three tries.
+/// Returns the shorter of three tries.
 fn timed<R>(mut of: impl FnMut() -> R) -> (Duration, R) {
     let mut tries = (0..3).map(|_| {
         let start = Instant::now();

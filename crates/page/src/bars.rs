@@ -16,7 +16,7 @@ pub struct Bars {
 }
 
 impl Bars {
-    /// The bars as a figure; an empty text where there are none.
+    /// Returns the bars as a figure; an empty text where there are none.
     #[must_use]
     pub fn figure(&self) -> String {
         let largest = self.bars.iter().map(|(_, size)| *size).fold(self.clear, f64::max);

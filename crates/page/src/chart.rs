@@ -60,7 +60,7 @@ pub struct Chart {
 }
 
 impl Chart {
-    /// The chart as a figure; an empty text where there is nothing to be drawn.
+    /// Returns the chart as a figure; an empty text where there is nothing to be drawn.
     #[must_use]
     pub fn figure(&self) -> String {
         let Some([x, y]) = self.extent() else { return String::new() };
@@ -126,7 +126,7 @@ impl Chart {
         svg
     }
 
-    /// The chart as a picture that stands alone in a file: colours that read on light and on dark, and its
+    /// Returns the chart as a picture that stands alone in a file: colours that read on light and on dark, and its
     /// legend below.
     #[must_use]
     pub fn standalone(&self) -> String {
@@ -162,7 +162,7 @@ impl Chart {
         svg + "</svg>\n"
     }
 
-    /// One of each name and colour: a run may be many lines.
+    /// Returns one of each name and colour: a run may be many lines.
     fn legend(&self) -> Vec<&Series> {
         let mut legend: Vec<&Series> = Vec::new();
         for series in &self.series {

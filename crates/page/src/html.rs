@@ -65,7 +65,7 @@ pub struct Page {
 }
 
 impl Page {
-    /// A page of this title, which is also its first heading.
+    /// Returns a page of this title, which is also its first heading.
     #[must_use]
     pub fn new(title: &str) -> Self {
         Self { title: title.into(), body: format!("<h1>{}</h1>\n", escaped(title)) }
@@ -160,7 +160,7 @@ impl Page {
         self.body.push_str(html);
     }
 
-    /// The whole page.
+    /// Returns the whole page.
     #[must_use]
     pub fn html(&self) -> String {
         format!(
@@ -192,7 +192,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// A table with these columns.
+    /// Returns a table with these columns.
     #[must_use]
     pub fn new<T: Display>(head: &[T]) -> Self {
         Self { head: head.iter().map(ToString::to_string).collect(), rows: Vec::new() }

@@ -1,6 +1,6 @@
 //! Numbers as people read them.
 
-/// A length in µm to three digits that mean something, none below a nanometre.
+/// Returns a length in µm to three digits that mean something, none below a nanometre.
 #[must_use]
 pub fn micrometres(um: f64) -> String {
     if !um.is_finite() {
@@ -10,7 +10,7 @@ pub fn micrometres(um: f64) -> String {
     format!("{um:.decimals$} µm")
 }
 
-/// A number in three digits that mean something, in thousandths and less where it begins behind the point.
+/// Returns a number in three digits that mean something, in thousandths and less where it begins behind the point.
 ///
 /// ```
 /// assert_eq!(trueup_page::significant(1629.63), "1630");
@@ -32,7 +32,7 @@ pub fn significant(value: f64) -> String {
     format!("{value:.decimals$}{unit}").replace('-', "−")
 }
 
-/// The decimals with which a number has three digits that mean something, up to `most`.
+/// Returns the decimals with which a number has three digits that mean something, up to `most`.
 fn decimals_of_three(value: f64, most: usize) -> usize {
     if value == 0.0 {
         return 0;
@@ -40,8 +40,8 @@ fn decimals_of_three(value: f64, most: usize) -> usize {
     (2.0 - value.abs().log10().floor()).clamp(0.0, most as f64) as usize
 }
 
-/// A value and the ends of its interval, all to the second digit of the interval's width: more would say more than
-/// is known, less would hide it.
+/// Returns a value and the ends of its interval, all to the second digit of the interval's width: more would say more
+/// than is known, less would hide it.
 ///
 /// ```
 /// assert_eq!(trueup_page::within(800.013, [799.921, 800.104]), ["800.01", "799.92", "800.10"]);
@@ -58,7 +58,7 @@ pub fn within(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
     [value, low, high].map(|number| format!("{number:.decimals$}").replace('-', "−"))
 }
 
-/// The unit in which a time of so many seconds reads best, and how many seconds it has.
+/// Returns the unit in which a time of so many seconds reads best, and how many seconds it has.
 ///
 /// ```
 /// assert_eq!(trueup_page::time_unit(90.0), ("s", 1.0));

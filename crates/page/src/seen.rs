@@ -13,7 +13,7 @@ const FEW: usize = 400;
 /// The width of a stroke.
 const STROKE: f64 = 2.0;
 
-/// The path of strokes with round ends of the width of a dot that shows `points`.
+/// Returns the path of strokes with round ends of the width of a dot that shows `points`.
 pub(crate) fn dots(points: &[[f64; 2]]) -> String {
     let mut path = String::new();
     if points.len() <= FEW {
@@ -39,7 +39,7 @@ pub(crate) fn dots(points: &[[f64; 2]]) -> String {
     path
 }
 
-/// The path of a line through `points`.
+/// Returns the path of a line through `points`.
 pub(crate) fn line(points: &[[f64; 2]]) -> String {
     let mut path = String::new();
     let mut add = |[x, y]: [f64; 2]| {

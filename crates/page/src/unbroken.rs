@@ -53,7 +53,7 @@ fn put(text: &str, as_it_is: bool, out: &mut String) {
     }
 }
 
-/// Whether a hyphen stands between two letters or digits.
+/// Returns whether a hyphen stands between two letters or digits.
 fn has_inner_hyphen(word: &str) -> bool {
     let letters: Vec<char> = word.chars().collect();
     letters.windows(3).any(|it| it[0].is_alphanumeric() && it[1] == '-' && it[2].is_alphanumeric())

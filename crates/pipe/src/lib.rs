@@ -97,7 +97,7 @@ impl Default for Block {
 }
 
 impl Block {
-    /// The bytes of this block.
+    /// Returns the bytes of this block.
     ///
     /// # Errors
     /// [`BlockError::FrameLength`] for a frame that has not 8 bytes.
@@ -121,7 +121,7 @@ impl Block {
         Ok(bytes)
     }
 
-    /// The block of these bytes.
+    /// Returns the block of these bytes.
     ///
     /// # Errors
     /// [`BlockError`] for an identifier above 0x7FF, or reserved bytes that are not 0: the stream
@@ -254,7 +254,7 @@ pub enum Record {
 }
 
 impl Record {
-    /// The bytes of this record.
+    /// Returns the bytes of this record.
     #[must_use]
     pub fn encode(&self) -> [u8; RECORD_SIZE] {
         let (time, id, len, [a, b, c, d, e, f, g, h]) = match self {
@@ -267,7 +267,7 @@ impl Record {
         [t0, t1, t2, t3, low, high, len, 0, a, b, c, d, e, f, g, h]
     }
 
-    /// The record of these bytes.
+    /// Returns the record of these bytes.
     ///
     /// # Errors
     /// [`RecordError`] for an identifier above 0x7FF, a length above 8, or padding that is not 0:

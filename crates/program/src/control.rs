@@ -63,7 +63,7 @@ impl Control {
     }
 }
 
-/// The name and text of the program.
+/// Returns the name and text of the program.
 #[must_use]
 pub fn program(plan: &Plan, control: Control) -> (String, String) {
     let name = plan.name.replace('-', "_");

@@ -82,7 +82,7 @@ impl Plan {
     }
 }
 
-/// A difference of two positions without the rounding of `f64`.
+/// Returns a difference of two positions without the rounding of `f64`.
 fn whole_um(mm: f64) -> f64 {
     (mm * 1000.0).round() / 1000.0
 }

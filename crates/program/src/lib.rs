@@ -55,7 +55,7 @@ pub enum Kind {
     Diagonal,
 }
 
-/// The plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
+/// Returns the plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
 ///
 /// # Errors
 /// The travel is not known, or what is asked for does not fit in it.

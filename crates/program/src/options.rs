@@ -81,7 +81,7 @@ const MAX_NUMBER: f64 = 1e6;
 const FEED_MM_PER_MIN: f64 = 1000.0;
 
 impl Options {
-    /// The feeds to measure at, at least one.
+    /// Returns the feeds to measure at, at least one.
     #[must_use]
     pub fn feeds(&self) -> Vec<f64> {
         if self.feeds_mm_per_min.is_empty() {
@@ -91,7 +91,7 @@ impl Options {
         }
     }
 
-    /// The feed of what is measured at one alone.
+    /// Returns the feed of what is measured at one alone.
     #[must_use]
     pub fn feed(&self) -> f64 {
         self.feeds()[0]

@@ -103,7 +103,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// The readings in their order.
+    /// Returns the readings in their order.
     #[must_use]
     pub fn readings(&self) -> Vec<Reading> {
         self.walk().readings
@@ -117,7 +117,7 @@ impl Plan {
         walk.dwelt_s + walk.moved_s
     }
 
-    /// The lowest and highest position of each axis in mm; `None` where it is not sent anywhere.
+    /// Returns the lowest and highest position of each axis in mm; `None` where it is not sent anywhere.
     #[must_use]
     pub fn extent_mm(&self) -> [Option<[f64; 2]>; 3] {
         self.walk().extent_mm

@@ -5,7 +5,7 @@ use crate::plan::{Column, Plan, Reading};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The run files of `plan`, by name: empty where something is to be measured.
+/// Returns the run files of `plan`, by name: empty where something is to be measured.
 #[must_use]
 pub fn templates(plan: &Plan) -> Vec<(String, String)> {
     let text = text(plan);

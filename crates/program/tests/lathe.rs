@@ -23,7 +23,7 @@ fn of(kind: Kind) -> Vec<Plan> {
     plans(kind, &lathe(), &ranges()).expect("it fits").0
 }
 
-/// The lines of a program that are no comments and no messages.
+/// Returns the lines of a program that are no comments and no messages.
 fn blocks(text: &str) -> Vec<&str> {
     let is_block = |line: &&str| {
         !line.is_empty() && !line.starts_with(['(', ';', '%']) && !line.starts_with("MSG")

@@ -20,7 +20,7 @@ struct Stand {
     is_to_be_read: bool,
 }
 
-/// What `rs274` makes of a program: where it stands at each dwell with a reading.
+/// Returns what `rs274` makes of a program: where it stands at each dwell with a reading.
 fn stands(program: &str) -> Option<Vec<Stand>> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("program.ngc");

@@ -36,7 +36,7 @@ impl Unit {
         }
     }
 
-    /// The unit that is written so.
+    /// Returns the unit that is written so.
     #[must_use]
     pub fn parse(text: &str) -> Option<Self> {
         match text.to_ascii_lowercase().as_str() {
@@ -121,7 +121,7 @@ impl Indicator {
 /// A reading has a few digits.
 const MOST_BYTES: usize = 4_096;
 
-/// A line, which CR or LF ends; how many bytes were taken.
+/// Returns a line, which CR or LF ends; how many bytes were taken.
 fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
     let mut taken = 0;
     loop {
@@ -146,7 +146,7 @@ fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<us
     }
 }
 
-/// What a line says, in µm; `None`: it is empty.
+/// Returns what a line says, in µm; `None`: it is empty.
 #[must_use]
 pub fn reading(line: &str, unit: Unit) -> Option<Heard> {
     if line.len() >= LONGEST {

@@ -79,7 +79,7 @@ impl Laws {
         Some(Self { crc: Some(identity(blob)), has_counts: false, ..Self::of(machine) })
     }
 
-    /// What the machine is called.
+    /// Returns what the machine is called.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.machine.name
@@ -91,7 +91,7 @@ impl Laws {
         self.crc
     }
 
-    /// What the sensor gives at this growth in µm; `None` where the board runs no law of a sensor.
+    /// Returns what the sensor gives at this growth in µm; `None` where the board runs no law of a sensor.
     #[must_use]
     pub fn reading(&self, growth_um: f64) -> Option<Reading> {
         let input = self.machine.inputs.as_ref()?.sensor?;
@@ -103,7 +103,7 @@ impl Laws {
         })
     }
 
-    /// The names of the temperatures by channel, without `temp_` and `_c`.
+    /// Returns the names of the temperatures by channel, without `temp_` and `_c`.
     #[must_use]
     pub fn temperatures(&self) -> BTreeMap<u8, &str> {
         let inputs = self.machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
@@ -118,8 +118,8 @@ impl Laws {
             .collect()
     }
 
-    /// The tool and the conditions that these laws depend on, by their names, as the CNC says them now; NaN: it does
-    /// not say.
+    /// Returns the tool and the conditions that these laws depend on, by their names, as the CNC says them now; NaN: it
+    /// does not say.
     #[must_use]
     pub fn conditions(&self, cnc: &Cnc, now_ms: u64) -> Vec<(String, f64)> {
         let said = cnc.conditions(now_ms);
@@ -132,7 +132,7 @@ impl Laws {
         std::iter::once(tool).chain(conditions).filter(|(name, _)| needed.contains(name)).collect()
     }
 
-    /// The share of each cause that the machine has.
+    /// Returns the share of each cause that the machine has.
     pub fn shares(&mut self, moment: &Moment<'_>) -> Vec<Share> {
         let channels = self.machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
         let temperatures_c: Vec<(String, f64)> = channels

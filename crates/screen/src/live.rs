@@ -360,7 +360,7 @@ fn shown(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// A folder that no other recording has.
+/// Returns a folder that no other recording has.
 fn folder_of(now: SystemTime) -> PathBuf {
     let since = now.duration_since(UNIX_EPOCH).unwrap_or_default();
     let seconds = u32::try_from(since.as_secs()).unwrap_or(u32::MAX);

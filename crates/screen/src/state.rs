@@ -214,7 +214,7 @@ impl State {
         self.asked = Some((growth_um, now_s));
     }
 
-    /// The gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
+    /// Returns the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
     pub fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
         self.now_s = now_s;
         match heard {
@@ -258,7 +258,7 @@ impl State {
         self.trend.push(now_s, values);
     }
 
-    /// What a key does.
+    /// Returns what a key does.
     pub fn key(&mut self, key: Key) -> Option<Action> {
         if key == Key::Interrupt {
             return Some(Action::Quit);
@@ -332,39 +332,39 @@ impl State {
         self.message = Some((message.into(), self.now_s));
     }
 
-    /// What there is to tell, while it is new.
+    /// Returns what there is to tell, while it is new.
     #[must_use]
     pub fn message(&self) -> Option<&str> {
         let (message, at_s) = self.message.as_ref()?;
         (self.now_s - at_s < MESSAGE_S).then_some(message)
     }
 
-    /// The moment that the screen shows, in s since it began.
+    /// Returns the moment that the screen shows, in s since it began.
     #[must_use]
     pub fn now_s(&self) -> f64 {
         self.now_s
     }
 
-    /// The newest offsets; `None` where none came lately.
+    /// Returns the newest offsets; `None` where none came lately.
     #[must_use]
     pub fn output(&self) -> Option<&Output> {
         let (output, at_s) = self.output.as_ref()?;
         (self.now_s - at_s <= STALE_S).then_some(output)
     }
 
-    /// The offsets of X, Y and Z in µm, if they are available.
+    /// Returns the offsets of X, Y and Z in µm, if they are available.
     #[must_use]
     pub fn offset_um(&self) -> Option<[f64; 3]> {
         self.output().and_then(offset_um)
     }
 
-    /// The growth by the sensor, in µm: the newest that is known, as long as it is not old.
+    /// Returns the growth by the sensor, in µm: the newest that is known, as long as it is not old.
     #[must_use]
     pub fn growth_um(&self) -> Option<f64> {
         self.last_growth().filter(|(_, age_s)| age_s.is_none()).map(|(um, _)| um)
     }
 
-    /// The last growth that came, in µm, and its age in s where it is old.
+    /// Returns the last growth that came, in µm, and its age in s where it is old.
     #[must_use]
     pub fn last_growth(&self) -> Option<(f64, Option<f64>)> {
         match self.asked {
@@ -373,13 +373,14 @@ impl State {
         }
     }
 
-    /// How long ago offsets came last, in s; `None`: none ever did.
+    /// Returns how long ago offsets came last, in s; `None`: none ever did.
     #[must_use]
     pub fn output_age_s(&self) -> Option<f64> {
         self.output.as_ref().map(|(_, at_s)| self.now_s - at_s)
     }
 
-    /// The last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none came.
+    /// Returns the last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none
+    /// came.
     #[must_use]
     pub fn old_offset_um(&self) -> Option<([f64; 3], f64)> {
         let (output, at_s) = self.output.as_ref()?;
@@ -387,26 +388,26 @@ impl State {
         Some((offset_um(output)?, age_s)).filter(|_| age_s > STALE_S)
     }
 
-    /// The age in s of a channel's temperature, where it is old.
+    /// Returns the age in s of a channel's temperature, where it is old.
     #[must_use]
     pub fn temperature_age_s(&self, channel: usize) -> Option<f64> {
         self.age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
     }
 
-    /// The age in s of what the board has said of its faults, where it is old.
+    /// Returns the age in s of what the board has said of its faults, where it is old.
     #[must_use]
     pub fn state_age_s(&self) -> Option<f64> {
         self.age_s(self.told_s.state)
     }
 
-    /// How long ago this was, in s, where it is too long.
+    /// Returns how long ago this was, in s, where it is too long.
     fn age_s(&self, at_s: Option<f64>) -> Option<f64> {
         let age_s = self.now_s - at_s?;
         (age_s > OLD_S).then_some(age_s)
     }
 
-    /// What the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its offset
-    /// corrects.
+    /// Returns what the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its
+    /// offset corrects.
     #[must_use]
     pub fn bridge_um(&self) -> Option<f64> {
         let axis = match self.gauge.quantity {
@@ -418,7 +419,7 @@ impl State {
         self.offset_um().map(|um| 0.0 - um[axis])
     }
 
-    /// The gauge minus the bridge, in µm, while the gauge's reading is of now.
+    /// Returns the gauge minus the bridge, in µm, while the gauge's reading is of now.
     #[must_use]
     pub fn difference_um(&self) -> Option<f64> {
         let (um, at_s) = self.gauge.latest?;
@@ -446,7 +447,7 @@ impl State {
         self.trend.unmark();
     }
 
-    /// What was received of the offsets, since the screen began.
+    /// Returns what was received of the offsets, since the screen began.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.offsets.counters()
@@ -458,7 +459,7 @@ impl State {
         self.offsets.unpaired()
     }
 
-    /// The tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.
+    /// Returns the tool and the conditions that the laws depend on, by their names; NaN: the CNC does not say.
     #[must_use]
     pub fn conditions(&self) -> Vec<(String, f64)> {
         let now_ms = (self.now_s * 1_000.0) as u64;
@@ -472,7 +473,7 @@ impl State {
         self.cnc.position_mm(now_ms).iter().any(Option::is_some)
     }
 
-    /// What is wrong, with what to do about it.
+    /// Returns what is wrong, with what to do about it.
     #[must_use]
     pub fn troubles(&self) -> Vec<(&'static str, &'static str)> {
         let mut words = self.board.words();

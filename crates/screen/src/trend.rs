@@ -39,14 +39,14 @@ impl Trend {
         self.marks.pop_back();
     }
 
-    /// The readings as (seconds before the newest sample, µm).
+    /// Returns the readings as (seconds before the newest sample, µm).
     #[must_use]
     pub fn marks(&self) -> Vec<(f64, f64)> {
         let newest_s = self.samples.back().map_or(0.0, |(at, _)| *at);
         self.marks.iter().map(|(at, um)| ((at - newest_s).min(0.0), *um)).collect()
     }
 
-    /// One series as (seconds before the newest, value), without what is not known.
+    /// Returns one series as (seconds before the newest, value), without what is not known.
     #[must_use]
     pub fn series(&self, which: usize) -> Vec<(f64, f64)> {
         let newest_s = self.samples.back().map_or(0.0, |(at, _)| *at);

@@ -111,7 +111,7 @@ pub fn encode<'o>(calibration: &Calibration<'_>, out: &'o mut [u8]) -> Result<&'
     Ok(blob)
 }
 
-/// The bytes of the blob at the start of `bytes`, checked for being whole: what [`decode`] reads.
+/// Returns the bytes of the blob at the start of `bytes`, checked for being whole: what [`decode`] reads.
 ///
 /// # Errors
 /// As [`decode`].
@@ -141,13 +141,13 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
     Ok(blob)
 }
 
-/// What tells one calibration from another: the CRC of its blob, whole as [`whole`] finds it; 0 of none.
+/// Returns what tells one calibration from another: the CRC of its blob, whole as [`whole`] finds it; 0 of none.
 #[must_use]
 pub fn identity(whole: &[u8]) -> u32 {
     u32::from_le_bytes(*whole.last_chunk().unwrap_or(&[0; CRC_SIZE]))
 }
 
-/// The calibration in a blob; its tables stay where they are. Bytes after the blob are not looked
+/// Returns the calibration in a blob; its tables stay where they are. Bytes after the blob are not looked
 /// at, so that a whole slot of flash can be given.
 ///
 /// # Errors

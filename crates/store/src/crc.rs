@@ -4,12 +4,12 @@ use crc::{CRC_32_AUTOSAR, Crc};
 
 static CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_AUTOSAR);
 
-/// The CRC over these bytes.
+/// Returns the CRC over these bytes.
 pub(crate) fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
-/// A CRC of parts.
+/// Returns a CRC of parts.
 pub(crate) fn digest() -> crc::Digest<'static, u32> {
     CRC.digest()
 }
@@ -21,7 +21,7 @@ pub(crate) fn seal(bytes: &mut [u8]) {
     }
 }
 
-/// The bytes before the CRC in the last four; `None`: it does not fit them.
+/// Returns the bytes before the CRC in the last four; `None`: it does not fit them.
 pub(crate) fn unseal(bytes: &[u8]) -> Option<&[u8]> {
     let (content, crc) = bytes.split_last_chunk()?;
     (checksum(content) == u32::from_le_bytes(*crc)).then_some(content)

@@ -18,7 +18,7 @@ pub struct Load<'a> {
 }
 
 impl Load<'_> {
-    /// The blob, if a bridge can run on it.
+    /// Returns the blob, if a bridge can run on it.
     ///
     /// # Errors
     /// As [`calibration::decode`].
@@ -88,7 +88,7 @@ pub enum Slot<'a> {
 }
 
 impl<'a> Slot<'a> {
-    /// A buffer that nothing has come to.
+    /// Returns a buffer that nothing has come to.
     #[must_use]
     pub fn new(buffer: &'a mut [u8]) -> Self {
         Self::Open(Load { buffer, length: 0 })
@@ -144,7 +144,7 @@ impl<'a> Slot<'a> {
         }
     }
 
-    /// What has come whole, once.
+    /// Returns what has come whole, once.
     pub fn take(&mut self) -> Option<Load<'a>> {
         match core::mem::take(self) {
             Self::Whole(load) => {
@@ -172,7 +172,7 @@ impl<'a> Slot<'a> {
         result
     }
 
-    /// What is stored for the next start.
+    /// Returns what is stored for the next start.
     #[must_use]
     pub fn stored(&self) -> Option<&[u8]> {
         match self {

@@ -78,7 +78,7 @@ impl Only {
         *count = count.saturating_add(1);
     }
 
-    /// Whether there is one alone in this half, and in the other one what counted before it.
+    /// Returns whether there is one alone in this half, and in the other one what counted before it.
     pub const fn is_in(self, half: Half) -> bool {
         let (own, others) = match half {
             Half::First => (self.first, self.second),
@@ -207,17 +207,17 @@ impl<F: NorFlash> Log<F> {
         self.active = half;
     }
 
-    /// The half that is written to, which [`Self::make_room`] leaves alone.
+    /// Returns the half that is written to, which [`Self::make_room`] leaves alone.
     pub const fn active(&self) -> Half {
         self.active
     }
 
-    /// Whether there is anything in the half that is not active.
+    /// Returns whether there is anything in the half that is not active.
     pub fn has_spare_content(&mut self) -> bool {
         self.content(self.active.other()).used > 0
     }
 
-    /// Whether the active half takes another record.
+    /// Returns whether the active half takes another record.
     pub fn has_room(&mut self) -> bool {
         self.content(self.active).used < self.slots_per_half()
     }

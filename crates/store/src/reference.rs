@@ -117,7 +117,7 @@ impl Record {
     }
 }
 
-/// The bytes of a write.
+/// Returns the bytes of a write.
 fn encode_write(write: &Write) -> Bytes {
     let mut bytes = [0; RECORD_SIZE];
     let words = write.to_bytes().into_iter().chain(writes::LAYOUT.to_le_bytes());
@@ -202,7 +202,7 @@ impl Events {
         }
     }
 
-    /// What holds now, by the newest record of the calibration; `None`: nothing has changed since.
+    /// Returns what holds now, by the newest record of the calibration; `None`: nothing has changed since.
     fn change(&self, own: Option<(u32, Standing)>) -> Option<Standing> {
         let since = own.map_or(0, |(sequence, _)| sequence);
         let (loaded, is_unattended) = self.loaded;
@@ -287,7 +287,7 @@ impl<F: NorFlash> References<F> {
         (references, found)
     }
 
-    /// The last writes that were found at the start.
+    /// Returns the last writes that were found at the start.
     pub const fn writes(&self) -> &Writes {
         &self.writes
     }
@@ -374,7 +374,7 @@ impl<F: NorFlash> References<F> {
     }
 }
 
-/// Whether a write says where the reference comes from.
+/// Returns whether a write says where the reference comes from.
 const fn takes_reference(what: What) -> bool {
     matches!(what, What::Zeroed | What::Offered)
 }

@@ -43,7 +43,7 @@ pub struct Kept {
     pub joint: Option<KeptJoint>,
 }
 
-/// What the newer whole copy says; `None`: there is none, the power was gone.
+/// Returns what the newer whole copy says; `None`: there is none, the power was gone.
 #[must_use]
 pub fn load(copies: &Copies) -> Option<Kept> {
     newest(copies).map(|(_, kept)| kept)
@@ -109,7 +109,7 @@ fn encode(kept: &Kept, number: u32, written_s: u32, copy: &mut [u8; SIZE]) {
     crc::seal(copy);
 }
 
-/// The number of the copy, when it was written, and what it says; `None`: it is not whole.
+/// Returns the number of the copy, when it was written, and what it says; `None`: it is not whole.
 fn decode(copy: &[u8; SIZE]) -> Option<(u32, u32, Kept)> {
     let words = crc::unseal(copy)?.as_chunks::<4>().0;
     let &[layout, number, written_s, source, shift, ref lags @ ..] = words else { return None };

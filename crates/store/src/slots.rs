@@ -56,7 +56,7 @@ impl Head {
         bytes
     }
 
-    /// The head of the slot there; `None`: there is none.
+    /// Returns the head of the slot there; `None`: there is none.
     fn read_at<F: NorFlash>(flash: &mut F, address: u32) -> Option<Self> {
         let mut bytes = [0; HEAD as usize];
         flash.read(address, &mut bytes).ok()?;
@@ -213,20 +213,20 @@ impl<F: NorFlash> Slots<F> {
         Ok(())
     }
 
-    /// The flash, for one who reads it in place.
+    /// Returns the flash, for one who reads it in place.
     pub const fn flash(&self) -> &F {
         &self.log.flash
     }
 }
 
-/// Whether the last word of the head, its CRC, was never written: the load before it was not finished.
+/// Returns whether the last word of the head, its CRC, was never written: the load before it was not finished.
 fn is_unfinished_head<F: NorFlash>(flash: &mut F, slot: Slot) -> bool {
     let mut crc = [0; 4];
     let at = slot.address.saturating_add(HEAD.saturating_sub(4));
     flash.read(at, &mut crc).is_ok() && crc == [0xFF; 4]
 }
 
-/// The length of the blob there, if it is the expected one and a bridge can run on it.
+/// Returns the length of the blob there, if it is the expected one and a bridge can run on it.
 fn check<F: NorFlash>(
     flash: &mut F,
     address: u32,

@@ -127,7 +127,7 @@ pub struct Write {
 }
 
 impl Write {
-    /// The bytes of the object.
+    /// Returns the bytes of the object.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; SIZE] {
         let mut bytes = [0; SIZE];
@@ -141,7 +141,7 @@ impl Write {
         bytes
     }
 
-    /// The write in the bytes of the object; `None`: of another version.
+    /// Returns the write in the bytes of the object; `None`: of another version.
     #[must_use]
     pub fn from_bytes(bytes: &[u8; SIZE]) -> Option<Self> {
         let &[sequence, calibration, about, at_ms, utc_s, [what, origin, unattended, ..]] =
@@ -185,14 +185,14 @@ impl Writes {
         }
     }
 
-    /// The bytes of the object, the oldest write first.
+    /// Returns the bytes of the object, the oldest write first.
     #[must_use]
     pub fn bytes(&self) -> &[u8] {
         self.bytes.get(..self.length).unwrap_or_default()
     }
 }
 
-/// What tells the names of a machine and a board from others; 0: the calibration names neither.
+/// Returns what tells the names of a machine and a board from others; 0: the calibration names neither.
 #[must_use]
 pub fn identity(names: &Names<'_>) -> u32 {
     let Names { machine, serial, board } = *names;

@@ -62,7 +62,7 @@ impl Ambient {
         Self { config: config.clone(), stream, time_s: 0.0, wander_c }
     }
 
-    /// The temperature in °C as it is now.
+    /// Returns the temperature in °C as it is now.
     #[must_use]
     pub fn temperature_c(&self) -> f64 {
         let config = &self.config;

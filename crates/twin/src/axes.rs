@@ -255,19 +255,19 @@ impl Axes {
         self.states.each_ref().map(|state| state.position_mm)
     }
 
-    /// The temperature of a screw, in °C.
+    /// Returns the temperature of a screw, in °C.
     #[must_use]
     pub fn screw_c(&self, axis: AxisName) -> f64 {
         self.states[axis.index()].screw_c
     }
 
-    /// The temperature of a scale, in °C.
+    /// Returns the temperature of a scale, in °C.
     #[must_use]
     pub fn scale_c(&self, axis: AxisName) -> f64 {
         self.states[axis.index()].scale_c
     }
 
-    /// The error of X, Y and Z as it is now, in µm, without the tool's.
+    /// Returns the error of X, Y and Z as it is now, in µm, without the tool's.
     #[must_use]
     pub fn error_um(&self) -> [f64; 3] {
         let mut error_um = [0.0; 3];
@@ -293,7 +293,7 @@ impl Axes {
 const AXES: [AxisName; 3] = [AxisName::X, AxisName::Y, AxisName::Z];
 
 impl AxisState {
-    /// The error of this axis along itself.
+    /// Returns the error of this axis along itself.
     fn own_error_um(&self, config: &AxisConfig) -> f64 {
         let at_mm = self.position_mm;
         let from_origin_m = (at_mm - config.origin_mm) / 1000.0;

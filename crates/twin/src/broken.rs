@@ -62,7 +62,7 @@ impl Rule {
         Err(Self::new(key, format!("must be from 0 to 1, not {value}")))
     }
 
-    /// The same rule, its key in `section`.
+    /// Returns the same rule, its key in `section`.
     pub(crate) fn within(self, section: &str) -> Self {
         Self { key: format!("{section}.{}", self.key), ..self }
     }
@@ -110,7 +110,7 @@ pub(crate) fn offset_of(document: &DeTable<'_>, key: &str) -> usize {
     offset
 }
 
-/// The first number that is infinite or not a number: its place and its key.
+/// Returns the first number that is infinite or not a number: its place and its key.
 pub(crate) fn not_finite(section: &str, table: &DeTable<'_>) -> Option<(usize, String)> {
     table.iter().find_map(|(key, value)| {
         let dot = if section.is_empty() { "" } else { "." };

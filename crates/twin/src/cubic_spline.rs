@@ -49,7 +49,7 @@ impl CubicSpline {
         Ok(Self { points, curvatures })
     }
 
-    /// The value at `place`; 0 of a curve without points.
+    /// Returns the value at `place`; 0 of a curve without points.
     ///
     /// ```
     /// use trueup_twin::cubic_spline::CubicSpline;

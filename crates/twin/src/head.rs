@@ -23,7 +23,7 @@ pub enum RotaryAxis {
 pub const MOST_AXES: usize = 2;
 
 impl RotaryAxis {
-    /// The column of its angle.
+    /// Returns the column of its angle.
     #[must_use]
     pub fn column(self) -> &'static str {
         ["a_deg", "b_deg", "c_deg"][self as usize]

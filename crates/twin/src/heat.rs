@@ -96,7 +96,7 @@ pub struct Account {
 }
 
 impl Account {
-    /// All that has come in.
+    /// Returns all that has come in.
     #[must_use]
     pub fn total_j(&self) -> f64 {
         self.from_sources_j + self.through_sides_j + self.through_ends_j
@@ -104,7 +104,7 @@ impl Account {
 }
 
 impl Rod {
-    /// A rod of `cells` equal cells (at least 1) at `start_c`, insulated all round, without
+    /// Returns a rod of `cells` equal cells (at least 1) at `start_c`, insulated all round, without
     /// sources; `theta` from 1/2 to 1.
     #[must_use]
     pub fn new(
@@ -131,7 +131,7 @@ impl Rod {
         }
     }
 
-    /// The temperature of each cell in °C, from left to right.
+    /// Returns the temperature of each cell in °C, from left to right.
     #[must_use]
     pub fn temperatures_c(&self) -> &[f64] {
         &self.temperatures_c
@@ -145,26 +145,26 @@ impl Rod {
         }
     }
 
-    /// The length of a cell in m.
+    /// Returns the length of a cell in m.
     #[must_use]
     pub fn cell_m(&self) -> f64 {
         self.length_m / self.temperatures_c.len() as f64
     }
 
-    /// The cell in which `position_m` from the left end lies; the nearest one outside.
+    /// Returns the cell in which `position_m` from the left end lies; the nearest one outside.
     #[must_use]
     pub fn cell_at(&self, position_m: f64) -> usize {
         // A cast from f64 saturates.
         ((position_m / self.cell_m()) as usize).min(self.temperatures_c.len() - 1)
     }
 
-    /// The heat above 0 °C that is stored, in J.
+    /// Returns the heat above 0 °C that is stored, in J.
     #[must_use]
     pub fn stored_j(&self) -> f64 {
         self.capacity_j_per_k() * self.temperatures_c.iter().sum::<f64>()
     }
 
-    /// How much longer the cells `from..to` are than at `reference_c`, in m: the integral of the
+    /// Returns how much longer the cells `from..to` are than at `reference_c`, in m: the integral of the
     /// expansion.
     #[must_use]
     pub fn growth_m(&self, from: usize, to: usize, reference_c: f64) -> f64 {

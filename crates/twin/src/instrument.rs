@@ -100,7 +100,7 @@ pub struct Instrument {
 }
 
 impl Instrument {
-    /// The instrument for `quantity`, with chance of its own under `seed`.
+    /// Returns the instrument for `quantity`, with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &InstrumentConfig, quantity: &str, seed: u64) -> Self {
         let stream = |what: &str| Stream::new(seed, &format!("instrument {quantity} {what}"));
@@ -114,7 +114,7 @@ impl Instrument {
         }
     }
 
-    /// What it shows at `time_s` of `value_um`, standing at `reading_um`; NaN where missing.
+    /// Returns what it shows at `time_s` of `value_um`, standing at `reading_um`; NaN where missing.
     pub fn read(&mut self, time_s: f64, value_um: f64, reading_um: f64) -> f64 {
         let config = &self.config;
         let passed_s = time_s - self.time_s;

@@ -56,7 +56,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// The machine of `scenario`, cold, its axes at the scenario's start, with chance of its own
+    /// Returns the machine of `scenario`, cold, its axes at the scenario's start, with chance of its own
     /// under `seed`.
     #[must_use]
     pub fn new(scenario: &Scenario, seed: u64) -> Self {
@@ -116,7 +116,7 @@ impl Machine {
         self.time_s
     }
 
-    /// The counts that the displacement sensor shows now: NaN where one is missing, `None` without
+    /// Returns the counts that the displacement sensor shows now: NaN where one is missing, `None` without
     /// a sensor. Each call is a reading of its own, with noise of its own.
     pub fn sensor_counts(&mut self) -> Option<f64> {
         let coil_c = self.spindle.as_ref().map_or(f64::NAN, |it| it.temperatures().coil_c);
@@ -124,26 +124,26 @@ impl Machine {
         self.sensor.as_mut().map(|sensor| sensor.read(coil_c, turns))
     }
 
-    /// The same as the voltage at the sensor's output, which is 10 V at its full scale.
+    /// Returns the same as the voltage at the sensor's output, which is 10 V at its full scale.
     pub fn sensor_volts(&mut self) -> Option<f64> {
         let full_scale = self.sensor.as_ref()?.full_scale_counts();
         self.sensor_counts().map(|counts| counts * 10.0 / full_scale)
     }
 
-    /// What the thermometers show now, in °C, by the names of their columns; NaN where missing.
+    /// Returns what the thermometers show now, in °C, by the names of their columns; NaN where missing.
     /// Each call is a reading of its own.
     pub fn temperatures_c(&mut self) -> Vec<(&str, f64)> {
         let all = self.thermometers.iter_mut();
         all.map(|(column, thermometer)| (column.as_str(), thermometer.read())).collect()
     }
 
-    /// How far the tool tip is out of the spindle, in µm.
+    /// Returns how far the tool tip is out of the spindle, in µm.
     #[must_use]
     pub fn elongation_um(&self) -> f64 {
         self.growth().at_tip_um()
     }
 
-    /// The error of the tool tip on X, Y and Z, actual minus commanded, in µm: the axes' errors,
+    /// Returns the error of the tool tip on X, Y and Z, actual minus commanded, in µm: the axes' errors,
     /// and the elongation along the tool.
     #[must_use]
     pub fn tip_error_um(&self) -> [f64; 3] {
@@ -151,13 +151,13 @@ impl Machine {
         std::array::from_fn(|axis| axes[axis] + elongation_um * self.direction[axis])
     }
 
-    /// The linear axes, with their present errors.
+    /// Returns the linear axes, with their present errors.
     #[must_use]
     pub fn axes(&self) -> &Axes {
         &self.axes
     }
 
-    /// Whether there is a spindle.
+    /// Returns whether there is a spindle.
     #[must_use]
     pub fn has_spindle(&self) -> bool {
         self.spindle.is_some()
@@ -207,7 +207,7 @@ impl Machine {
     }
 }
 
-/// The temperature at a spot on the spindle; NaN for one that is elsewhere.
+/// Returns the temperature at a spot on the spindle; NaN for one that is elsewhere.
 fn on(spindle: &SpindleTemperatures, spot: Spot) -> f64 {
     match spot {
         Spot::Front => spindle.front_c,

@@ -72,7 +72,7 @@ struct Truth {
     shown: f64,
 }
 
-/// The month of `seed`, of a machine that ages or of one without a fault.
+/// Returns the month of `seed`, of a machine that ages or of one without a fault.
 #[must_use]
 pub fn month(seed: u64, ages: bool) -> Month {
     let mut stream = Stream::new(seed, "month");
@@ -128,7 +128,7 @@ pub fn month(seed: u64, ages: bool) -> Month {
     Month { machine, days }
 }
 
-/// One day, from seven in the morning on.
+/// Returns one day, from seven in the morning on.
 fn worked(
     day: usize,
     is_probed: bool,

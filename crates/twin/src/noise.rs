@@ -21,7 +21,7 @@ use rand_distr::StandardNormal;
 pub struct Stream(ChaCha8Rng);
 
 impl Stream {
-    /// The stream of `purpose` under `seed`.
+    /// Returns the stream of `purpose` under `seed`.
     #[must_use]
     pub fn new(seed: u64, purpose: &str) -> Self {
         let mut generator = ChaCha8Rng::seed_from_u64(seed);
@@ -44,7 +44,7 @@ impl Stream {
         self.0.sample(StandardNormal)
     }
 
-    /// True with `probability`.
+    /// Returns true with `probability`.
     pub fn chance(&mut self, probability: f64) -> bool {
         self.0.random::<f64>() < probability
     }
@@ -54,12 +54,12 @@ impl Stream {
         if self.chance(0.5) { 1.0 } else { -1.0 }
     }
 
-    /// A whole number from `low` to `high`, both possible.
+    /// Returns a whole number from `low` to `high`, both possible.
     pub fn whole(&mut self, low: usize, high: usize) -> usize {
         self.0.random_range(low..=high.max(low))
     }
 
-    /// One of `choices`, which must not be empty.
+    /// Returns one of `choices`, which must not be empty.
     pub fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[self.whole(0, choices.len() - 1)]
     }
@@ -89,12 +89,12 @@ impl Correlated {
         Self { stream, sigma, rho: rho.clamp(0.0, 0.999_999), value: None }
     }
 
-    /// The next value.
+    /// Returns the next value.
     pub fn draw(&mut self) -> f64 {
         self.draw_at(self.rho)
     }
 
-    /// The next value, where it is correlated by `rho` with the one before: over a step Δt of noise
+    /// Returns the next value, where it is correlated by `rho` with the one before: over a step Δt of noise
     /// with the time constant τ that is e^(−Δt/τ).
     pub fn draw_at(&mut self, rho: f64) -> f64 {
         let fresh = self.sigma * self.stream.normal();
@@ -108,7 +108,7 @@ impl Correlated {
     }
 }
 
-/// The root mean square; 0 of nothing.
+/// Returns the root mean square; 0 of nothing.
 #[must_use]
 pub fn rms(values: &[f64]) -> f64 {
     if values.is_empty() {

@@ -66,7 +66,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// A piece of which nothing else is said: still, without load, every key at its default.
+    /// Returns a piece of which nothing else is said: still, without load, every key at its default.
     pub(crate) fn of(kind: Kind) -> Self {
         Self {
             kind,
@@ -164,7 +164,7 @@ pub struct Leg {
     pub row_of_run: Option<u32>,
 }
 
-/// The legs of all `segments`, `repeat` times over, from `start_mm` on.
+/// Returns the legs of all `segments`, `repeat` times over, from `start_mm` on.
 #[must_use]
 pub fn legs(
     segments: &[Segment],

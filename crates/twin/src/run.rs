@@ -14,7 +14,7 @@ use crate::{
     table::RunTable,
 };
 
-/// What the virtual machine tool measures in `scenario` under `seed`, in the form of a run file.
+/// Returns what the virtual machine tool measures in `scenario` under `seed`, in the form of a run file.
 /// `row_done` hears of every row.
 #[must_use]
 pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> RunTable {

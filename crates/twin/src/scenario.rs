@@ -177,7 +177,7 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// The axes, as what moves them takes them.
+    /// Returns the axes, as what moves them takes them.
     #[must_use]
     pub fn axes(&self) -> AxesConfig {
         AxesConfig {
@@ -285,7 +285,7 @@ impl Scenario {
         Ok(())
     }
 
-    /// How many rows there will be, nearly.
+    /// Returns how many rows there will be, nearly.
     #[must_use]
     pub fn rows(&self) -> f64 {
         let mut at_mm = self.start_mm;

@@ -20,7 +20,7 @@ use crate::{
     tool::ToolConfig,
 };
 
-/// The scenario as a JSON schema (draft 2020-12).
+/// Returns the scenario as a JSON schema (draft 2020-12).
 #[must_use]
 pub fn scenario() -> Value {
     let settings = SchemaSettings::draft2020_12().with(|it| it.inline_subschemas = true);
@@ -36,7 +36,7 @@ pub fn scenario() -> Value {
     schema.to_value()
 }
 
-/// The scenario's keys as a table of Markdown.
+/// Returns the scenario's keys as a table of Markdown.
 #[must_use]
 pub fn scenario_table() -> String {
     let mut rows = "| key | what stands there | default | what |\n|---|---|---|---|\n".to_string();
@@ -72,7 +72,7 @@ fn rows_of(schema: &Value, name: &str, rows: &mut String) {
     }
 }
 
-/// The keys of the table of this name, of the file itself where it has none.
+/// Returns the keys of the table of this name, of the file itself where it has none.
 fn fields_of(table: &str) -> &'static [&'static str] {
     match table {
         "" => fields::<Scenario>(),
@@ -91,7 +91,7 @@ fn fields_of(table: &str) -> &'static [&'static str] {
     }
 }
 
-/// The fields of a type in the order of the code, which a schema forgets: its reader is asked for them.
+/// Returns the fields of a type in the order of the code, which a schema forgets: its reader is asked for them.
 fn fields<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
     let mut fields: &'static [&'static str] = &[];
     // It reads nothing, and so cannot but fail.
@@ -134,7 +134,7 @@ enum Table {
     Many,
 }
 
-/// The schema of a table that `value` is, or holds.
+/// Returns the schema of a table that `value` is, or holds.
 fn inner(value: &Value) -> Option<(&Value, Table)> {
     let whole = value["anyOf"].as_array().and_then(|any| any.first()).unwrap_or(value);
     let is_table = |it: &Value| it["properties"].is_object();
@@ -154,7 +154,7 @@ fn inner(value: &Value) -> Option<(&Value, Table)> {
     named().map(|named| (named, Table::Named))
 }
 
-/// What may stand at a key, in words.
+/// Returns what may stand at a key, in words.
 fn form(value: &Value) -> String {
     if let Some(any) = value["anyOf"].as_array() {
         return any.first().map(form).unwrap_or_default();
@@ -183,7 +183,7 @@ fn form(value: &Value) -> String {
     }
 }
 
-/// What a key is, on one line, without its full stop.
+/// Returns what a key is, on one line, without its full stop.
 fn sentence(value: &Value) -> String {
     let text = value["description"].as_str().unwrap_or_default();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");

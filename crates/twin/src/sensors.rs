@@ -110,7 +110,7 @@ pub struct Displacement {
 }
 
 impl Displacement {
-    /// A sensor with chance of its own under `seed`.
+    /// Returns a sensor with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &DisplacementConfig, seed: u64) -> Self {
         let correlated = Stream::new(seed, "sensor, correlated");
@@ -126,7 +126,7 @@ impl Displacement {
         }
     }
 
-    /// The counts of its full scale.
+    /// Returns the counts of its full scale.
     #[must_use]
     pub fn full_scale_counts(&self) -> f64 {
         self.config.full_scale_counts
@@ -176,7 +176,7 @@ impl Displacement {
     }
 }
 
-/// The correlation over `dt_s` of noise with the time constant `constant_s`.
+/// Returns the correlation over `dt_s` of noise with the time constant `constant_s`.
 pub(crate) fn memory(dt_s: f64, constant_s: f64) -> f64 {
     if constant_s > 0.0 { (-dt_s / constant_s).exp() } else { 0.0 }
 }
@@ -218,7 +218,7 @@ pub enum Spot {
 }
 
 impl Spot {
-    /// Whether it is on the spindle.
+    /// Returns whether it is on the spindle.
     #[must_use]
     pub fn is_on_spindle(self) -> bool {
         matches!(
@@ -282,7 +282,7 @@ pub struct Thermometer {
 }
 
 impl Thermometer {
-    /// The thermometer `name`, with chance of its own under `seed`.
+    /// Returns the thermometer `name`, with chance of its own under `seed`.
     #[must_use]
     pub fn new(config: &ThermometerConfig, name: &str, seed: u64) -> Self {
         let chance = Stream::new(seed, &format!("thermometer {name}"));
@@ -302,7 +302,7 @@ impl Thermometer {
         self.shown_c = Some(temperature_c + (before_c - temperature_c) * left);
     }
 
-    /// What it shows now, in °C; NaN where missing.
+    /// Returns what it shows now, in °C; NaN where missing.
     pub fn read(&mut self) -> f64 {
         let shown_c = self.shown_c.unwrap_or(f64::NAN) + self.config.offset_c;
         let noisy_c = shown_c + self.config.noise_c * self.chance.normal();

@@ -242,13 +242,13 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// What a sensor in the nose sees.
+    /// Returns what a sensor in the nose sees.
     #[must_use]
     pub fn at_sensor_um(&self) -> f64 {
         self.shaft_um + self.centrifugal_um
     }
 
-    /// What the tool tip does: the elongation.
+    /// Returns what the tool tip does: the elongation.
     #[must_use]
     pub fn at_tip_um(&self) -> f64 {
         self.at_sensor_um() + self.housing_um + self.holder_um + self.tool_um + self.elastic_um
@@ -377,13 +377,13 @@ impl Spindle {
         self.holder_c = ambient_c;
     }
 
-    /// The shaft, for whoever keeps an account of its heat.
+    /// Returns the shaft, for whoever keeps an account of its heat.
     #[must_use]
     pub fn shaft(&self) -> &Rod {
         &self.shaft
     }
 
-    /// The growth as it is now.
+    /// Returns the growth as it is now.
     #[must_use]
     pub fn growth(&self) -> Growth {
         let config = &self.config;
@@ -402,7 +402,7 @@ impl Spindle {
         }
     }
 
-    /// The temperatures as they are now.
+    /// Returns the temperatures as they are now.
     #[must_use]
     pub fn temperatures(&self) -> SpindleTemperatures {
         let shaft = self.shaft.temperatures_c();

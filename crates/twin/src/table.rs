@@ -54,19 +54,19 @@ impl RunTable {
         }
     }
 
-    /// The values of `name`, as they will be read from the file; NaN where missing. `None` if there
+    /// Returns the values of `name`, as they will be read from the file; NaN where missing. `None` if there
     /// is no such column.
     #[must_use]
     pub fn column(&self, name: &str) -> Option<&[f64]> {
         self.columns.iter().find(|column| column.name == name).map(|column| &column.values[..])
     }
 
-    /// The names of the columns, in the order of the file.
+    /// Returns the names of the columns, in the order of the file.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.columns.iter().map(|column| column.name.as_str())
     }
 
-    /// How many rows there are: the length of the longest column.
+    /// Returns how many rows there are: the length of the longest column.
     #[must_use]
     pub fn rows(&self) -> usize {
         self.columns.iter().map(|column| column.values.len()).max().unwrap_or(0)
@@ -99,7 +99,7 @@ impl RunTable {
         out.flush()
     }
 
-    /// The run file as text.
+    /// Returns the run file as text.
     #[must_use]
     pub fn to_csv(&self) -> String {
         let mut bytes = Vec::new();

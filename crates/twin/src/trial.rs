@@ -51,7 +51,7 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// The machine number `seed`.
+    /// Returns the machine number `seed`.
     #[must_use]
     pub fn drawn(seed: u64) -> Self {
         let mut stream = Stream::new(seed, "trial");
@@ -73,7 +73,7 @@ impl Trial {
         }
     }
 
-    /// The record (CSV) of the morning `day`: pieces of so many r/min for so many minutes.
+    /// Returns the record (CSV) of the morning `day`: pieces of so many r/min for so many minutes.
     #[must_use]
     pub fn run(&self, pieces: &[(f64, f64)], day: u64) -> String {
         let mut gauge = Stream::new(self.seed, &format!("trial gauge {day}"));

@@ -61,7 +61,7 @@ pub struct AxisTrial {
 }
 
 impl AxisTrial {
-    /// The machine number `seed`.
+    /// Returns the machine number `seed`.
     ///
     /// # Panics
     /// Never: its scenario is one.
@@ -115,7 +115,7 @@ impl AxisTrial {
         }
     }
 
-    /// The record (CSV) of the morning `day`, and how many minutes it took.
+    /// Returns the record (CSV) of the morning `day`, and how many minutes it took.
     #[must_use]
     pub fn run(&self, acts: &[Act], day: u64) -> (String, f64) {
         let seed = self.seed.wrapping_mul(1000).wrapping_add(day);

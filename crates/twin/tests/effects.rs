@@ -13,7 +13,7 @@ fn column<'t>(table: &'t RunTable, name: &str) -> &'t [f64] {
     table.column(name).unwrap_or_else(|| panic!("no column {name}"))
 }
 
-/// The columns that differ.
+/// Returns the columns that differ.
 fn changed(before: &RunTable, after: &RunTable) -> Vec<String> {
     assert_eq!(before.names().collect::<Vec<_>>(), after.names().collect::<Vec<_>>());
     let same = |name: &&str| {

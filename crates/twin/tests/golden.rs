@@ -24,7 +24,7 @@ fn hash(challenge: &Challenge) -> u64 {
     fnv_1a(&texts)
 }
 
-/// One line for each: the name, and the hashes of seeds 0 to 3 at the ratios 1 and 3.
+/// Returns one line for each: the name, and the hashes of seeds 0 to 3 at the ratios 1 and 3.
 fn all() -> String {
     let mut text = String::new();
     let mut line = |name: &str, of: &dyn Fn(f64, u64) -> Challenge| {

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use trueup_twin::hidden::{Challenge, Expected, Hidden, PAIRS, draw, draw_pair};
 
-/// The named column of a run file of numbers; NaN where a cell is empty.
+/// Returns the named column of a run file of numbers; NaN where a cell is empty.
 fn column(csv: &str, name: &str) -> Vec<f64> {
     let mut lines = csv.lines();
     let header = lines.next().expect("a header");
@@ -180,7 +180,7 @@ fn a_challenge_is_drawn_in_well_under_a_second() {
     assert!(each < 1.0);
 }
 
-/// What is left of `effect` (RMS) after the best straight line over `rival`.
+/// Returns what is left of `effect` (RMS) after the best straight line over `rival`.
 fn left_by(effect: &[f64], rival: &[f64]) -> f64 {
     let (effect, rival) = (about_mean(effect), about_mean(rival));
     let square: f64 = rival.iter().map(|r| r * r).sum();

@@ -16,7 +16,7 @@ use trueup_emulator::{
     chip::{self, Report},
     firmware, setup,
 };
-/// The model and the image; `None`: this compiler is too old for the model.
+/// Returns the model and the image; `None`: this compiler is too old for the model.
 fn parts() -> Option<&'static (PathBuf, PathBuf)> {
     static PARTS: OnceLock<Option<(PathBuf, PathBuf)>> = OnceLock::new();
     PARTS
@@ -37,7 +37,7 @@ fn run(options: &[&str]) -> Option<Report> {
     Some(chip::run(model, image, options).expect("the model runs"))
 }
 
-/// The first line in which these parts follow each other.
+/// Returns the first line in which these parts follow each other.
 fn line<'r>(report: &'r Report, parts: &[&str]) -> Option<&'r str> {
     report.said.lines().find(|line| {
         let mut rest = *line;
@@ -123,7 +123,7 @@ fn what_zero_has_taken_is_stored_and_taken_up_at_the_next_start() {
     says(&report, &["OffsetZ at", " 0.0", "µm, quality 1", "(last)"]);
 }
 
-/// The number of the model's chip, hashed as FNV-1a is described; not that of every other board.
+/// Returns the number of the model's chip, hashed as FNV-1a is described; not that of every other board.
 fn hash_of_the_number() -> u32 {
     let number = [0x31, 0, 0x2a, 0, 0x0b, 0x47, 0x33, 0x32, 0x36, 0x35, 0x39, 0x35_u8];
     number
@@ -160,7 +160,7 @@ fn run_heard_from_the_start(options: &[&str]) -> Option<Report> {
     run(&[&["--bor"], opens.as_flattened(), options].concat())
 }
 
-/// The faults that were told as emergencies on the serial line, by their places in the list of faults.
+/// Returns the faults that were told as emergencies on the serial line, by their places in the list of faults.
 fn emergencies(report: &Report) -> Vec<u8> {
     let of = |event: &String| {
         let data = event.split(" serial t0818").nth(1)?;
@@ -219,7 +219,7 @@ fn run_script(script: &str, options: &[&str]) -> Option<Report> {
     run(&[&["--bor", "--script", file], options].concat())
 }
 
-/// The number before a word, on the first line that has it.
+/// Returns the number before a word, on the first line that has it.
 fn number(report: &Report, word: &str) -> f64 {
     let line = line(report, &[word]).unwrap_or_else(|| panic!("no {word:?} in\n{}", report.said));
     let before = line.split(word).next().unwrap_or_default();
@@ -296,7 +296,7 @@ fn where_the_dma_of_the_serial_line_does_not_move_the_line_is_polled() {
     logs(&report, "dead: DMA of the serial line, bytes go out by polling");
 }
 
-/// The offsets in Z on the bus from that time on: time in ms, µm.
+/// Returns the offsets in Z on the bus from that time on: time in ms, µm.
 fn offsets_z(report: &Report, from_ms: f64) -> Vec<(f64, f64)> {
     let of = |event: &String| {
         let (time, data) = event.split_once(" can 281 ")?;

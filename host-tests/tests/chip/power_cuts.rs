@@ -74,7 +74,7 @@ fn end(report: &Report) -> (f64, u8) {
     (offsets_z(report, 0.0).last().expect("an offset").1, quality)
 }
 
-/// Whether the last state that the board told says that its heat is not known.
+/// Returns whether the last state that the board told says that its heat is not known.
 fn heat_is_unknown(report: &Report) -> bool {
     let mut states = report.events.iter().filter_map(|event| {
         let data = event.split(" can 381 ").nth(1)?;
@@ -89,7 +89,7 @@ fn heat_is_unknown(report: &Report) -> bool {
     states.next_back().expect("a state").0 & StateBits::HEAT_UNKNOWN.0 != 0
 }
 
-/// What the lag makes of the cut: the front at `COOL_C` for all of it, and a second since.
+/// Returns what the lag makes of the cut: the front at `COOL_C` for all of it, and a second since.
 fn expected_um(off_s: f64) -> f64 {
     let lagged = COOL_C + (WARM_C - COOL_C) * (-(off_s + 1.0) / LAG_S).exp();
     (lagged - 20.0) * UM_PER_C
@@ -124,7 +124,7 @@ fn with_battery_and_crystal_the_heat_goes_on_over_the_time_that_has_passed() {
     });
 }
 
-/// What makes the backup worth nothing, and how long the power is gone.
+/// Returns what makes the backup worth nothing, and how long the power is gone.
 fn worthless() -> Vec<(&'static str, String, &'static [&'static str], u32)> {
     let cut = CUT_MS;
     let battery: &[&str] = &["--battery"];

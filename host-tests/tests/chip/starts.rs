@@ -91,7 +91,7 @@ fn where_the_crc_unit_is_dead_the_core_checks_the_image() {
     says(&report, &["OffsetZ at", "quality 1", "(last)"]);
 }
 
-/// The flash of a board that a machine relies on, in this folder. There are no option bytes in it: they are as
+/// Returns the flash of a board that a machine relies on, in this folder. There are no option bytes in it: they are as
 /// from the factory.
 fn flash_in_service(folder: &tempfile::TempDir) -> Option<String> {
     let flash = folder.path().join("flash").to_str().expect("a plain name").to_string();
@@ -155,7 +155,7 @@ fn a_hard_fault_resets_at_once_and_the_next_start_tells_it_and_where() {
     assert_eq!(reasons.last(), Some(&ResetReason::HardFault), "{reasons:?}");
 }
 
-/// What a `Status` frame on the CAN bus says of the last reset.
+/// Returns what a `Status` frame on the CAN bus says of the last reset.
 fn reset_reason(event: &str) -> Option<ResetReason> {
     let data = event.split(" can 381 ").nth(1)?;
     let byte = |n: usize| u8::from_str_radix(&data[2 * n..2 * n + 2], 16).expect("hex");

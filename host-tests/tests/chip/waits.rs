@@ -61,7 +61,7 @@ fn script(from_ms: u32, later_ms: u32) -> String {
     script
 }
 
-/// The number before the unit behind these words, in µs.
+/// Returns the number before the unit behind these words, in µs.
 fn behind(report: &Report, words: &str) -> Option<f64> {
     let (_, rest) = report.said.split_once(words)?;
     rest.trim_start_matches([':', ' ']).split_once(" µs")?.0.parse().ok()

@@ -50,7 +50,7 @@ fn compiled() -> Result<Compiled> {
     Ok(compile(&MachineFile::read(&path)?)?)
 }
 
-/// The offset in Z of an `OffsetZ`, in 10 nm.
+/// Returns the offset in Z of an `OffsetZ`, in 10 nm.
 pub fn offset(data: &[u8; 8]) -> i32 {
     ((u64::from_le_bytes(*data) << 20).cast_signed() >> 44) as i32
 }
@@ -79,7 +79,7 @@ fn blocks(pattern: &[u16], from: usize) -> Vec<Block> {
     all.map(|n| Block { codes: codes(n), frames: sent(n), ..Block::default() }).collect()
 }
 
-/// The offsets of one period, once it is settled.
+/// Returns the offsets of one period, once it is settled.
 fn settled<'f>(sent: impl Iterator<Item = &'f Frame>) -> Vec<i32> {
     let offsets = sent.filter(|frame| frame.id() == 0x281).map(|frame| offset(frame.data()));
     offsets.skip(SETTLED).collect()

@@ -34,7 +34,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// An hour: the test ends it before.
 const LONG: [&str; 3] = ["--bor", "--ms", "3600000"];
 
-/// What `trueup bridge info` prints.
+/// Returns what `trueup bridge info` prints.
 fn info(port: u16) -> Result<String> {
     let port = format!("tcp:127.0.0.1:{port}");
     let output = trueup()?.args(["bridge", "info", "--port", &port]).output()?;
@@ -43,7 +43,7 @@ fn info(port: u16) -> Result<String> {
     Ok(String::from_utf8(output.stdout)?)
 }
 
-/// The same, once it has this.
+/// Returns the same, once it has this.
 fn info_with(port: u16, text: &str) -> Result<String> {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -88,7 +88,7 @@ fn bridge_info_names_what_ended_the_last_start_and_where() -> Result<()> {
     })
 }
 
-/// A client of others in Python, against the image's serial line; what it prints as JSON.
+/// Returns a client of others in Python, against the image's serial line; what it prints as JSON.
 fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(None) };
     let code = CODE.to_string();

@@ -22,7 +22,7 @@ use super::{
 /// The switch for 115 200 Bd, and a master that has it.
 pub const FAST: [&str; 4] = ["--low", "PB5", "--modbus-baud", "115200"];
 
-/// The bytes of what was said, if it is of this kind.
+/// Returns the bytes of what was said, if it is of this kind.
 pub fn said(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
     let (at, rest) = event.split_once(' ')?;
     let hex = rest.strip_prefix(kind)?.strip_prefix(' ')?;
@@ -30,7 +30,7 @@ pub fn said(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
     Some((at.parse().ok()?, bytes.collect::<Option<_>>()?))
 }
 
-/// How long so many bytes take at 115 200 Bd.
+/// Returns how long so many bytes take at 115 200 Bd.
 fn answer_ms(bytes: usize) -> f64 {
     11.0 * 1e3 * bytes as f64 / 115_200.0
 }
@@ -112,7 +112,7 @@ fn of_400_polls_none_is_half_old() -> Result<()> {
 /// The switch for no parity and two stop bits, and a master that has them: a pseudo terminal refuses parity.
 const NO_PARITY: [&str; 3] = ["--low", "PB6", "--modbus-no-parity"];
 
-/// What masters of other people saw of the image, at 19 200 Bd; nothing else is on its lines.
+/// Returns what masters of other people saw of the image, at 19 200 Bd; nothing else is on its lines.
 fn masters(more: &[&OsStr]) -> Result<Option<Value>> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(None) };
     let code = CODE.to_string();

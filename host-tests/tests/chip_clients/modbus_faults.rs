@@ -46,7 +46,7 @@ impl Fault {
     }
 }
 
-/// All of them; wherever a block is written it would release the offset, and its counter is the next one.
+/// Returns all of them; wherever a block is written it would release the offset, and its counter is the next one.
 fn faults(counter: u16) -> Vec<Fault> {
     let release = write_pdu(Control::REFERENCED, counter);
     let changed = |place: usize, value: u8| {
@@ -135,7 +135,7 @@ impl Answers {
         self.0.iter().filter(|(at, _)| is_within(*at)).map(|(_, bytes)| &bytes[..]).collect()
     }
 
-    /// The input block that was read in this time.
+    /// Returns the input block that was read in this time.
     fn input(&self, from: u32, to: u32) -> Result<Input> {
         let [answer] = self.between(from, to)[..] else { anyhow::bail!("no answer, or several") };
         let (words, _) = answer.get(3..59).context("the whole block")?.as_chunks::<2>();

@@ -26,7 +26,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// A fault that changes nothing, unless more is said.
+    /// Returns a fault that changes nothing, unless more is said.
     pub const fn new(fault: &'static str, at: u32, within: u32) -> Self {
         let (quality, flag, state, emergency) = (None, None, None, None);
         let (is_history, restart, task) = (false, None, None);
@@ -49,7 +49,7 @@ impl Case {
         Self { emergency: Some(fault), ..self }
     }
 
-    /// An emergency that whoever opens the line later reads in the history, because there is no CAN.
+    /// Returns an emergency that whoever opens the line later reads in the history, because there is no CAN.
     pub const fn history(self, fault: Fault) -> Self {
         Self { emergency: Some(fault), is_history: true, ..self }
     }
@@ -63,7 +63,7 @@ impl Case {
         Self { task: Some(task), ..self }
     }
 
-    /// What of it was not seen.
+    /// Returns what of it was not seen.
     pub fn missing(&self, seen: &Seen) -> Vec<String> {
         let from = f64::from(self.at);
         let by = from + f64::from(self.within);

@@ -62,7 +62,7 @@ impl Run {
     }
 }
 
-/// All of it.
+/// Returns all of it.
 pub fn runs() -> Vec<Run> {
     vec![
         tasks_that_hold_up_the_supervisor(),

@@ -48,7 +48,7 @@ fn parts() -> Option<&'static Parts> {
         .as_ref()
 }
 
-/// A copy of the image in this folder whose calibration is damaged (0) or of another schema (1), sealed again.
+/// Returns a copy of the image in this folder whose calibration is damaged (0) or of another schema (1), sealed again.
 fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
     let machine = trueup_machine::file::MachineFile::read(machine).expect("a machine file");
     let compiled = trueup_machine::compile::compile(&machine).expect("it compiles");
@@ -67,7 +67,7 @@ fn spoil(image: &Path, machine: &Path, folder: &Path, kind: usize) -> PathBuf {
     copy
 }
 
-/// The same blob, whole, with the next schema's number.
+/// Returns the same blob, whole, with the next schema's number.
 fn other_schema(blob: &[u8]) -> Vec<u8> {
     let mut other = blob.to_vec();
     other[4] = other[4].wrapping_add(1);

@@ -25,7 +25,7 @@ const LOAD_MS: f64 = 130.0;
 /// A board is heard within this time of every start.
 const START_MS: f64 = 200.0;
 
-/// The fast machine, with growth times `gain`.
+/// Returns the fast machine, with growth times `gain`.
 fn compiled(gain: f64) -> Compiled {
     let by = 0.015_258_789_062_5 * gain;
     let text = FAST_MACHINE.replace("0.0152587890625", &by.to_string());

@@ -3,8 +3,8 @@
 /// From one request to the next; the bridge answers every 2 ms.
 const STEP_MS: f64 = 2.2;
 
-/// The frames that load a blob into object 0x2100:02, a segmented download (CiA 301, 7.2.4.3.3), and when the last
-/// was sent.
+/// Returns the frames that load a blob into object 0x2100:02, a segmented download (CiA 301, 7.2.4.3.3), and when the
+/// last was sent.
 pub fn load(blob: &[u8], from_ms: f64) -> (String, f64) {
     let count = blob.chunks(7).count();
     let size = hex(&(blob.len() as u32).to_le_bytes());
@@ -21,7 +21,7 @@ pub fn load(blob: &[u8], from_ms: f64) -> (String, f64) {
     (script, at)
 }
 
-/// What it runs on, what it has for the next start, and its state bits.
+/// Returns what it runs on, what it has for the next start, and its state bits.
 pub fn questions(from_ms: f64) -> String {
     let objects = ["40002103", "40002104", "40012006"];
     let asked = objects.iter().enumerate();
@@ -69,7 +69,7 @@ impl Told {
         told
     }
 
-    /// The last value of an object of four bytes that was read after that time.
+    /// Returns the last value of an object of four bytes that was read after that time.
     pub fn object(&self, (index, subindex): (u16, u8), after: f64) -> Option<u32> {
         let [low, high] = index.to_le_bytes();
         let is_it = |(time, data): &&(f64, [u8; 8])| {
@@ -79,8 +79,8 @@ impl Told {
         Some(u32::from_le_bytes(*data.last_chunk().expect("eight bytes")))
     }
 
-    /// Whether the last segment of a load was answered before that time: one answer to the first request, one to
-    /// each of 88 segments.
+    /// Returns whether the last segment of a load was answered before that time: one answer to the first request, one
+    /// to each of 88 segments.
     pub fn is_accepted(&self, before: f64) -> bool {
         let is_taken = |data: &[u8; 8]| data[0] == 0x60 || data[0] & 0xEF == 0x20;
         let taken = |(time, data): &&(f64, [u8; 8])| *time < before && is_taken(data);

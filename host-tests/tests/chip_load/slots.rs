@@ -59,7 +59,7 @@ enum Part {
     Head,
 }
 
-/// A megabyte with two loaded calibrations, half and a quarter of the growth, each damaged as it says.
+/// Returns a megabyte with two loaded calibrations, half and a quarter of the growth, each damaged as it says.
 fn flash(damaged: [Part; 2]) -> Vec<u8> {
     let mut flash = vec![0xFF; 1 << 20];
     let base = identity(compiled(1.0).blob());

@@ -19,7 +19,7 @@ const SEEDS: [u64; 3] = [2, 3, 4];
 /// Names of a checkpoint's words.
 const WORDS: [&str; 10] = ["r0", "r1", "r2", "r3", "r4", "r5", "r6", "r7", "APSR", "FPSCR"];
 
-/// What differs first, as words: where, and both values.
+/// Returns what differs first, as words: where, and both values.
 fn difference(model: &[u8], qemu: &[u8]) -> Option<String> {
     let at = model.iter().zip(qemu).position(|(one, other)| one != other)?;
     let word = |bytes: &[u8]| {

@@ -31,7 +31,7 @@ impl Draw {
         all[self.below(all.len() as u32) as usize]
     }
 
-    /// A number at whose ends things happen more often than elsewhere.
+    /// Returns a number at whose ends things happen more often than elsewhere.
     fn number(&mut self) -> u32 {
         match self.below(4) {
             0 => self.of(&[0, 1, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 0x8000, 0xffff_8000]),
@@ -69,7 +69,7 @@ impl Code {
     }
 }
 
-/// The ELF file of a program of so many groups.
+/// Returns the ELF file of a program of so many groups.
 pub fn image(seed: u64, groups: usize) -> Vec<u8> {
     let mut draw = Draw(seed);
     let mut code = Code(Vec::new());
@@ -328,7 +328,7 @@ fn floating(code: &mut Code, draw: &mut Draw) {
     code.long(first, second);
 }
 
-/// One segment at the start of the flash: stack pointer, reset vector, code.
+/// Returns one segment at the start of the flash: stack pointer, reset vector, code.
 fn elf(code: &[u16]) -> Vec<u8> {
     const AT: u32 = 0x0800_0000;
     const VECTORS: u32 = 0x40;

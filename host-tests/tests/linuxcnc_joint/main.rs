@@ -83,7 +83,7 @@ fn tool(words: &[&str], code: i32) -> Result<String> {
     Ok(said)
 }
 
-/// The text of each file of a folder that has a name like these.
+/// Returns the text of each file of a folder that has a name like these.
 fn texts(folder: &Path) -> Result<Vec<(String, String)>> {
     let mut all = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -197,7 +197,7 @@ impl Rig {
         self.cnc.act("mdi", "text", text).map(drop)
     }
 
-    /// The cycles since the last call.
+    /// Returns the cycles since the last call.
     fn cycles(&mut self) -> Vec<Option<Cycle>> {
         // What the recorder holds back for a moment.
         thread::sleep(Duration::from_millis(300));

@@ -78,7 +78,7 @@ pub fn start_with(
     Headless::start(folder, "test.ini", linuxcnc)
 }
 
-/// The sample configuration with another screen and the recorder.
+/// Returns the sample configuration with another screen and the recorder.
 fn configuration(sample: &str, folder: &Path, bridge: &str, records: bool) -> String {
     let mut text = String::new();
     for line in sample.lines() {

@@ -44,13 +44,13 @@ pub struct Rig {
     read: u64,
 }
 
-/// The sample's machine file.
+/// Returns the sample's machine file.
 pub fn machine() -> Result<Machine> {
     let path = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
     Ok(MachineFile::read(&path)?)
 }
 
-/// The shared one. It ends with the last test that holds it.
+/// Returns the shared one. It ends with the last test that holds it.
 pub fn shared() -> Result<Option<Arc<Mutex<Rig>>>> {
     static RIG: Mutex<Weak<Mutex<Rig>>> = Mutex::new(Weak::new());
     let mut weak = RIG.lock().unwrap_or_else(PoisonError::into_inner);
@@ -63,7 +63,7 @@ pub fn shared() -> Result<Option<Arc<Mutex<Rig>>>> {
     Ok(Some(rig))
 }
 
-/// A test that has failed leaves the rig as it is; the next one brings it into order.
+/// Returns a test that has failed leaves the rig as it is; the next one brings it into order.
 pub fn lock(rig: &Mutex<Rig>) -> MutexGuard<'_, Rig> {
     rig.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -142,7 +142,7 @@ impl Rig {
         })
     }
 
-    /// What is applied, in µm, once it has not changed for two seconds: a busy computer takes its time
+    /// Returns what is applied, in µm, once it has not changed for two seconds: a busy computer takes its time
     /// to tell the board where the axes are.
     pub fn settled_um(&mut self) -> Result<[f64; 3]> {
         let mut last = [f64::INFINITY; 3];
@@ -161,7 +161,7 @@ impl Rig {
         Ok(last)
     }
 
-    /// What is applied on Z, in µm.
+    /// Returns what is applied on Z, in µm.
     pub fn z_um(&mut self) -> Result<f64> {
         Ok(self.cnc.pin("axis.z.eoffset")? * 1_000.0)
     }
@@ -173,7 +173,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Every servo cycle since [`Rig::begin`]. The recorder writes behind, so it is waited for.
+    /// Returns every servo cycle since [`Rig::begin`]. The recorder writes behind, so it is waited for.
     pub fn cycles(&mut self) -> Result<Vec<Sample>> {
         let number = self.scenario;
         self.cnc.act("mark", "scenario", 0)?;

@@ -71,7 +71,7 @@ pub struct Steps {
 /// cycles.
 const SPREAD: usize = 5;
 
-/// The largest steps in these cycles.
+/// Returns the largest steps in these cycles.
 ///
 /// # Errors
 /// Cycles are missing: then nothing is known.

@@ -109,7 +109,7 @@ fn read<'n>(
     cells.collect()
 }
 
-/// What LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
+/// Returns what LinuxCNC and the virtual machine make of a plan: the run file, filled in. A second of LinuxCNC is
 /// `factor` seconds of the machine.
 fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
     let Rig { cnc, cycles, .. } = rig;
@@ -240,7 +240,7 @@ fn run_of(text: &str) -> Unaided<'static> {
     Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
-/// What is asked for alike: moves of 60 m/min, and short dwells.
+/// Returns what is asked for alike: moves of 60 m/min, and short dwells.
 fn options(axes: &[LinearAxis]) -> Options {
     Options {
         axes: axes.to_vec(),

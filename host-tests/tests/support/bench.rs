@@ -20,7 +20,7 @@ use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Compiled, Machine, MachineFile};
 use trueup_pipe::{Block, FRAMES};
 
-/// The paper's spindle, with a slew limit that fits a test.
+/// Returns the paper's spindle, with a slew limit that fits a test.
 pub fn paper() -> Machine {
     let path = setup::root().join("data/paper_spindle.toml");
     let mut machine = MachineFile::read(&path).expect("the project's own machine file");
@@ -93,7 +93,7 @@ impl Bench {
         all
     }
 
-    /// The line of the log that has these words in it. The log has its own way to the host.
+    /// Returns the line of the log that has these words in it. The log has its own way to the host.
     pub fn logged(&self, words: &str) -> String {
         let end = Instant::now() + Duration::from_secs(10);
         loop {

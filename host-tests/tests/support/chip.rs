@@ -24,12 +24,12 @@ pub struct Chip {
 }
 
 impl Chip {
-    /// The image of this machine; `None`: the compiler is too old for the model.
+    /// Returns the image of this machine; `None`: the compiler is too old for the model.
     pub fn of_machine(text: &str) -> Result<Option<Self>> {
         Self::built(text, firmware::build_for)
     }
 
-    /// The same that breaks when it is told to.
+    /// Returns the same that breaks when it is told to.
     pub fn that_breaks(text: &str) -> Result<Option<Self>> {
         Self::built(text, firmware::build_that_breaks)
     }

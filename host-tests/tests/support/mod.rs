@@ -81,7 +81,7 @@ pub struct Ended {
     pub took: Duration,
 }
 
-/// The command, not yet started. It is built once, and so is the image, so that whoever starts it
+/// Returns the command, not yet started. It is built once, and so is the image, so that whoever starts it
 /// need not wait for a compiler.
 pub fn xtask() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
@@ -115,7 +115,7 @@ fn state_folder() -> &'static Path {
     })
 }
 
-/// The host tool, not yet started; built once as well.
+/// Returns the host tool, not yet started; built once as well.
 pub fn trueup() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let build = || programs::trueup().map_err(|error| format!("{error:#}"));
@@ -131,7 +131,7 @@ impl Running {
         Self::start_into(command, Stdio::null())
     }
 
-    /// The same, with its standard output to somewhere.
+    /// Returns the same, with its standard output to somewhere.
     pub fn start_into(command: &mut Command, output: Stdio) -> Result<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -155,7 +155,7 @@ impl Running {
         Ok(Self { child, told, listener: Some(listener), mark, temporary })
     }
 
-    /// What it has said so far.
+    /// Returns what it has said so far.
     pub fn said(&self) -> String {
         self.told.lock().expect("nobody panics with it").join("\n")
     }
@@ -177,7 +177,7 @@ impl Running {
         }
     }
 
-    /// The number of its process.
+    /// Returns the number of its process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -210,7 +210,7 @@ impl Running {
         Ok(Ended { status, stderr: self.said(), took })
     }
 
-    /// The emulators that it started and that still run. One that has just been killed may need a
+    /// Returns the emulators that it started and that still run. One that has just been killed may need a
     /// moment.
     pub fn emulators_left(&self) -> Vec<u32> {
         let end = Instant::now() + Duration::from_secs(2);
@@ -251,7 +251,7 @@ pub fn signal(name: &str, id: u32) -> Result<()> {
     Ok(())
 }
 
-/// The processes with this mark that are emulators. One that is dead but not waited for has no
+/// Returns the processes with this mark that are emulators. One that is dead but not waited for has no
 /// environment left.
 fn emulators(mark: &str) -> Vec<u32> {
     let mark = format!("{MARK}={mark}");
@@ -293,13 +293,13 @@ impl Bridge {
         Ok(Self { command, qemu, address })
     }
 
-    /// The same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
+    /// Returns the same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
     /// it serves.
     pub fn start_grown_at(speed: &str) -> Result<Self> {
         Self::start_grown_there("127.0.0.1:0", speed)
     }
 
-    /// The same in real time, where another one was.
+    /// Returns the same in real time, where another one was.
     pub fn start_grown_at_address(address: &str) -> Result<Self> {
         Self::start_grown_there(address, "1")
     }
@@ -311,7 +311,7 @@ impl Bridge {
         Self::start_at(address, &["--machine", &machine, "--run", &run, "--speed", speed])
     }
 
-    /// The same in real time.
+    /// Returns the same in real time.
     pub fn start_grown() -> Result<Self> {
         Self::start_grown_at("1")
     }
@@ -321,7 +321,7 @@ impl Bridge {
         &self.address
     }
 
-    /// A client's connection, on which no wait is for ever.
+    /// Returns a client's connection, on which no wait is for ever.
     pub fn connect(&self) -> Result<TcpStream> {
         let stream = TcpStream::connect(&self.address)?;
         stream.set_nodelay(true)?;

@@ -94,7 +94,8 @@ impl Backup {
         off_s.unwrap_or(0)
     }
 
-    /// What the clock says, in seconds; sets it going where that has not been done. `None`: it does not run, or not yet.
+    /// Returns what the clock says, in seconds; sets it going where that has not been done. `None`: it does not run, or
+    /// not yet.
     pub fn now_s(&mut self) -> Option<u32> {
         if !self.is_ours() {
             self.open(|| self.set());
@@ -179,7 +180,7 @@ impl Backup {
     }
 }
 
-/// The copies, a word after the other.
+/// Returns the copies, a word after the other.
 fn words(copies: &mut Copies) -> impl Iterator<Item = &mut [u8; 4]> {
     copies.as_flattened_mut().as_chunks_mut::<4>().0.iter_mut()
 }

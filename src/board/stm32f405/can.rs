@@ -131,7 +131,7 @@ pub struct CanIn {
 }
 
 impl CanIn {
-    /// The oldest frame that waits. The interrupt comes again while another one does.
+    /// Returns the oldest frame that waits. The interrupt comes again while another one does.
     pub fn receive(&mut self) -> Option<Frame> {
         let fifo = self.can.rfr(self.fifo).read();
         if fifo.fovr().bit_is_set() {
@@ -156,7 +156,7 @@ impl CanIn {
     }
 }
 
-/// The frame in a receive mailbox; the filter lets only standard data frames in.
+/// Returns the frame in a receive mailbox; the filter lets only standard data frames in.
 fn read(mailbox: &can1::RX) -> Option<Frame> {
     let identifier = mailbox.rir().read();
     if identifier.ide().bit_is_set() || identifier.rtr().bit_is_set() {
@@ -182,7 +182,7 @@ pub struct CanOut {
 }
 
 impl CanOut {
-    /// Whether a frame other than offsets still waits: another one would take its place, and an
+    /// Returns whether a frame other than offsets still waits: another one would take its place, and an
     /// answer to an SDO request comes only once. A bus on which nothing gets out is not waited for,
     /// because the serial line has the same frames; asked once a millisecond.
     pub fn is_busy(&mut self) -> bool {
@@ -211,7 +211,7 @@ impl CanOut {
         write(self.can.tx(usize::from(mailbox)), frame);
     }
 
-    /// How the controller has been on its bus since this was last asked, at its worst: bus-off lasts for
+    /// Returns how the controller has been on its bus since this was last asked, at its worst: bus-off lasts for
     /// 1.4 ms only, and comes again. A controller that was never meant to join is well.
     pub fn state(&mut self) -> CanState {
         if self.on_the_bus {

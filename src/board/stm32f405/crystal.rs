@@ -36,7 +36,7 @@ const UPDATES: u32 = 8;
 /// crystal of 25 MHz; a poll takes more than one.
 const UPDATE_POLLS: u32 = 10_000;
 
-/// The crystal that runs, in MHz; `None`: it is none of those known, or it cannot be measured. Its rate is
+/// Returns the crystal that runs, in MHz; `None`: it is none of those known, or it cannot be measured. Its rate is
 /// in the log. The core runs from the internal oscillator before and after, and SysTick counts its cycles.
 pub fn measure(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     let khz = captured_khz(rcc, timer).or_else(|| {
@@ -53,7 +53,7 @@ pub fn measure(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     known
 }
 
-/// The crystal's rate by TIM11; `None`: nothing was captured, or a capture was missed.
+/// Returns the crystal's rate by TIM11; `None`: nothing was captured, or a capture was missed.
 #[allow(unsafe_code, reason = "registers of a timer and of the clock tree")]
 fn captured_khz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     rcc.apb2enr().modify(|_, w| w.tim11en().enabled());
@@ -87,13 +87,13 @@ fn captured_khz(rcc: &RCC, timer: &TIM11) -> Option<u32> {
     Some(u32::from(DIVISION) * PERIODS * CAPTURES * INTERNAL_KHZ / counts)
 }
 
-/// The count at the next capture.
+/// Returns the count at the next capture.
 fn capture(timer: &TIM11) -> Option<u16> {
     within(POLLS, || timer.sr().read().cc1if().bit_is_set())
         .then(|| timer.ccr1().read().bits() as u16)
 }
 
-/// The crystal's rate by the watchdog's oscillator; `None`: the watchdog does not answer. The core runs from
+/// Returns the crystal's rate by the watchdog's oscillator; `None`: the watchdog does not answer. The core runs from
 /// the crystal meanwhile, without wait states, which do up to 30 MHz (section 3.5.1), and under the clock
 /// security system, lest it stop for good with the crystal.
 fn khz_by_watchdog(rcc: &RCC) -> Option<u32> {
@@ -109,7 +109,7 @@ fn khz_by_watchdog(rcc: &RCC) -> Option<u32> {
     crystal.filter(|_| is_back && internal > 0).map(|cycles| cycles * INTERNAL_KHZ / internal)
 }
 
-/// How many cycles the core makes while the watchdog's prescaler is written again and again with what it is.
+/// Returns how many cycles the core makes while the watchdog's prescaler is written again and again with what it is.
 #[allow(unsafe_code, reason = "registers of the watchdog")]
 fn update_cycles() -> Option<u32> {
     /// Lets the prescaler be written (IWDG_KR, section 21.4.1).

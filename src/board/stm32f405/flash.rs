@@ -65,7 +65,7 @@ impl Flash {
         START + usize::from(self.sector - FIRST_SECTOR) * SECTOR_SIZE
     }
 
-    /// What is stored there, in place.
+    /// Returns what is stored there, in place.
     ///
     /// # Safety
     /// Nobody writes to it or erases it from now on.

@@ -7,14 +7,14 @@ use stm32f4xx_hal::pac::DBGMCU;
 /// Where they are: the place on the wafer, the wafer, and the lot.
 const UNIQUE: *const u8 = 0x1FFF_7A10 as *const u8;
 
-/// The chip's number, lowest byte first.
+/// Returns the chip's number, lowest byte first.
 #[allow(unsafe_code, reason = "bytes of the system memory")]
 fn unique() -> [u8; 12] {
     // SAFETY: twelve bytes that every chip of this kind has, and that never change.
     core::array::from_fn(|n| unsafe { ptr::read_volatile(UNIQUE.add(n)) })
 }
 
-/// The chip's number, the lowest word first; 1 in an emulator without a device code.
+/// Returns the chip's number, the lowest word first; 1 in an emulator without a device code.
 pub fn words(dbgmcu: &DBGMCU) -> [u32; 3] {
     if dbgmcu.idcode().read().bits() == 0 {
         return [1, 0, 0];

@@ -98,7 +98,7 @@ impl Image {
         image
     }
 
-    /// Whether no offset may be given.
+    /// Returns whether no offset may be given.
     pub fn is_bad(&self) -> bool {
         self.verdict == Verdict::Damaged
     }
@@ -159,7 +159,7 @@ impl Image {
     }
 }
 
-/// What the unit would make of a word: half a byte at a time.
+/// Returns what the unit would make of a word: half a byte at a time.
 fn step(crc: u32, word: u32) -> u32 {
     (0..8).fold(crc ^ word, |crc, _| crc << 4 ^ STEPS[(crc >> 28) as usize])
 }

@@ -7,7 +7,7 @@ use stm32f4xx_hal::gpio::{Output, PC12, PinState};
 pub struct Lamp(PC12<Output>);
 
 impl Lamp {
-    /// The lamp, dark.
+    /// Returns the lamp, dark.
     pub fn new(pin: PC12) -> Self {
         Self(pin.into_push_pull_output_in_state(PinState::High))
     }

@@ -134,7 +134,7 @@ fn read() -> Option<LastWords> {
     Some(LastWords { why, stop: Stop { pc, lr, status, address, line, file, task } })
 }
 
-/// What the last start has left, once.
+/// Returns what the last start has left, once.
 pub fn take() -> Option<LastWords> {
     let words = read();
     record().iter().for_each(|place| place.store(0, Ordering::Relaxed));

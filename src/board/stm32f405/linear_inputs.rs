@@ -84,7 +84,7 @@ pub fn start(adc: ADC2, pins: Pins, sampling: Cycles, mains: Mains, rcc: &mut Rc
 }
 
 impl LinearInputs {
-    /// What all channels deliver: the mean of the last 20 or 50 ms. [`Raw::NONE`] where the ring has not gone
+    /// Returns what all channels deliver: the mean of the last 20 or 50 ms. [`Raw::NONE`] where the ring has not gone
     /// round since the last time; then it is started anew.
     pub fn take(&mut self) -> [Raw; TEMPERATURES] {
         let status = self.dma.lisr().read();

@@ -230,7 +230,7 @@ pub fn start(
     }
 }
 
-/// What is known of how the board came to run, before a task of this start leaves its own mark.
+/// Returns what is known of how the board came to run, before a task of this start leaves its own mark.
 fn start_of(reset: Reset) -> Start {
     let last_words = last_words::take().filter(|_| reset != Reset::PowerOn);
     let reason = watchdog::reason(reset, last_words.as_ref());
@@ -271,7 +271,7 @@ fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
     dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
 }
 
-/// Whether `ready` came true within `polls` polls: the only way to wait on this board.
+/// Returns whether `ready` came true within `polls` polls: the only way to wait on this board.
 fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
     (0..polls).any(|_| ready())
 }

@@ -30,7 +30,7 @@ pub const PAINT: u32 = 0xCCCC_CCCC;
 #[unsafe(link_section = ".uninit.ram_test")]
 static FAILED: MaybeUninit<AtomicU32> = MaybeUninit::uninit();
 
-/// An address that failed, to 16 bytes, if one did.
+/// Returns an address that failed, to 16 bytes, if one did.
 pub fn failed() -> Option<u32> {
     // SAFETY: any bits are a value of it, and the test has written it.
     let address = unsafe { FAILED.assume_init_ref() }.load(Ordering::Relaxed);

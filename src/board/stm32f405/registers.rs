@@ -93,12 +93,12 @@ pub struct Changed {
 }
 
 impl Registers {
-    /// What they are now.
+    /// Returns what they are now.
     pub fn read() -> Self {
         Self(WATCHED.map(value))
     }
 
-    /// The first that is not as it was.
+    /// Returns the first that is not as it was.
     pub fn changed(&self) -> Option<Changed> {
         WATCHED.into_iter().zip(self.0).find_map(|(watched, before)| {
             let bits = value(watched) ^ before;

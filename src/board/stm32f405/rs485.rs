@@ -98,7 +98,7 @@ pub struct Rs485 {
 }
 
 impl Rs485 {
-    /// What came in, with its time. While the board sends it hears nobody.
+    /// Returns what came in, with its time. While the board sends it hears nobody.
     #[allow(unsafe_code, reason = "a register of the timer")]
     pub fn take(&mut self) -> Option<Heard> {
         // Read in this order, they clear what is set.
@@ -148,7 +148,7 @@ impl Rs485 {
 pub struct Silence(TIM5);
 
 impl Silence {
-    /// The time; what raised the interrupt is cleared.
+    /// Returns the time; what raised the interrupt is cleared.
     pub fn now_us(&mut self) -> u32 {
         self.0.sr().reset();
         now_us()

@@ -175,7 +175,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// The block that is complete. `None`: there is none, or one was lost; then the chain has
+    /// Returns the block that is complete. `None`: there is none, or one was lost; then the chain has
     /// been restarted, so that the next block is whole.
     pub fn take(&mut self) -> Option<Block> {
         let status = self.chain.dma.lisr().read();
@@ -195,7 +195,7 @@ impl Samples {
         Some(Block { codes, speed: None, temperatures: None })
     }
 
-    /// The last code of the chip's internal reference; `None` before the first.
+    /// Returns the last code of the chip's internal reference; `None` before the first.
     pub fn internal_reference(&mut self) -> Option<Code> {
         let code = self.chain.adc.jdr1().read().jdata().bits();
         let code = (code != 0).then_some(Code(code))?;
@@ -215,7 +215,7 @@ impl Samples {
         self.arm();
     }
 
-    /// The buffer that the DMA is not filling.
+    /// Returns the buffer that the DMA is not filling.
     fn copy_complete(&self) -> [Code; BLOCK] {
         let filling_first = self.chain.dma.st(0).cr().read().ct().is_memory0();
         let complete = &BUFFERS[usize::from(filling_first)];
@@ -227,7 +227,7 @@ impl Samples {
         codes
     }
 
-    /// Whether the DMA may by now be writing into the buffer that was just copied: two blocks'
+    /// Returns whether the DMA may by now be writing into the buffer that was just copied: two blocks'
     /// worth of triggers have gone by since the last block was taken.
     fn is_late(&self) -> bool {
         let triggers = self.chain.tim2.cnt().read().cnt().bits();

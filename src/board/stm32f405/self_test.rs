@@ -48,12 +48,12 @@ impl SelfTest {
         }
     }
 
-    /// Whether the board is damaged, and no offset may be given.
+    /// Returns whether the board is damaged, and no offset may be given.
     pub fn is_damaged(&self) -> bool {
         self.ram_failed || self.image.is_bad()
     }
 
-    /// How many bytes of the stack were never used; called at each turn.
+    /// Returns how many bytes of the stack were never used; called at each turn.
     pub fn free_stack(&mut self) -> u16 {
         self.watermark.turn()
     }

@@ -74,7 +74,7 @@ pub struct SerialIn {
 }
 
 impl SerialIn {
-    /// The next byte that came in. `None`: there is none, or it came damaged, or the one after it was
+    /// Returns the next byte that came in. `None`: there is none, or it came damaged, or the one after it was
     /// lost; reading has cleared the error then, and the checksum of the frame tells the rest.
     pub fn read(&mut self) -> Option<u8> {
         match &mut self.incoming {
@@ -173,7 +173,7 @@ impl SerialOut {
         let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
     }
 
-    /// A few of the bytes that wait, each polled out; where the DMA is dead.
+    /// Returns a few of the bytes that wait, each polled out; where the DMA is dead.
     pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let mut piece = [0; POLLED_AT_ONCE];
         let count = fill(&mut piece);

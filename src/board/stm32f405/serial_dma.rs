@@ -85,7 +85,7 @@ impl Incoming {
         stream.cr().read().en().is_enabled()
     }
 
-    /// The next byte of the ring.
+    /// Returns the next byte of the ring.
     pub fn next(&mut self) -> Option<u8> {
         // Before the count is read: an interrupt that comes after it asks again.
         self.clear_flags();
@@ -123,12 +123,12 @@ impl Outgoing {
         Self { dma: controller(), count: 0, left: 0 }
     }
 
-    /// Whether a piece is still going out.
+    /// Returns whether a piece is still going out.
     pub fn is_busy(&self) -> bool {
         self.dma.st(7).cr().read().en().is_enabled()
     }
 
-    /// Whether a piece is going out, and has moved since this was last asked.
+    /// Returns whether a piece is going out, and has moved since this was last asked.
     pub fn is_moving(&mut self) -> bool {
         // A flag that stays would raise its interrupt again at once.
         self.clear_flags();

@@ -56,7 +56,7 @@ impl Abort {
         Self::NoData,
     ];
 
-    /// What it means, in words.
+    /// Returns what it means, in words.
     #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
@@ -80,7 +80,7 @@ impl Abort {
         }
     }
 
-    /// The number on the wire.
+    /// Returns the number on the wire.
     #[must_use]
     pub const fn code(self) -> u32 {
         self as u32

@@ -77,7 +77,7 @@ impl fmt::Display for ClientError {
 impl Error for ClientError {}
 
 impl ClientError {
-    /// Whether the line may be to blame, and the same may be answered when it is asked for again: a
+    /// Returns whether the line may be to blame, and the same may be answered when it is asked for again: a
     /// request was lost, or an answer.
     #[must_use]
     pub const fn may_be_the_line(&self) -> bool {
@@ -110,7 +110,7 @@ impl Upload {
         Self::start_at_most(at, MAX_UPLOAD)
     }
 
-    /// The same of an object that has at most so many bytes.
+    /// Returns the same of an object that has at most so many bytes.
     #[must_use]
     pub fn start_at_most(at: At, most: u32) -> (Self, Frame) {
         let this = Self { at, toggle: None, announced: None, received: 0, most };
@@ -293,7 +293,7 @@ pub fn give_up(at: At) -> Frame {
     request(initiated(0x80, at, Abort::Timeout.code()))
 }
 
-/// The bytes of a frame that is an answer of the bridge.
+/// Returns the bytes of a frame that is an answer of the bridge.
 fn answer(frame: &Frame) -> Option<&[u8; 8]> {
     (frame.id() == SDO_ANSWER_ID && usize::from(frame.len()) == Frame::MAX_LEN)
         .then(|| frame.data())

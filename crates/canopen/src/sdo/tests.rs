@@ -57,7 +57,7 @@ fn ask(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
     Some(*answer.data())
 }
 
-/// The abort of this object.
+/// Returns the abort of this object.
 fn refused(index: u16, subindex: u8, abort: Abort) -> Option<[u8; 8]> {
     Some(initiated(0x80, (index, subindex), abort.code()))
 }

@@ -15,7 +15,7 @@ pub struct Link {
     pub target: String,
 }
 
-/// The links of a text, but for what is code.
+/// Returns the links of a text, but for what is code.
 pub fn of(text: &str) -> Vec<Link> {
     let mut found = Vec::new();
     let mut line = 0;
@@ -27,7 +27,7 @@ pub fn of(text: &str) -> Vec<Link> {
     found
 }
 
-/// The same text with the targets that `new` gives; `None` leaves one as it is.
+/// Returns the same text with the targets that `new` gives; `None` leaves one as it is.
 pub fn rewritten(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
     rewritten_with(text, &mut |_, target| new(target))
 }
@@ -61,7 +61,7 @@ fn rewritten_with(text: &str, new: &mut dyn FnMut(usize, &str) -> Option<String>
     result
 }
 
-/// Whether a place in a line is between backquotes.
+/// Returns whether a place in a line is between backquotes.
 fn is_code(line: &str, place: usize) -> bool {
     line[..place].matches('`').count() % 2 == 1
 }
@@ -71,13 +71,13 @@ pub fn split(target: &str) -> (&str, &str) {
     target.split_at(target.find('#').unwrap_or(target.len()))
 }
 
-/// The file that a page, or a line of it, includes as a whole.
+/// Returns the file that a page, or a line of it, includes as a whole.
 pub fn included(page: &Path, text: &str) -> Option<PathBuf> {
     let path = text.trim().strip_prefix("{{#include ")?.strip_suffix("}}")?;
     Some(normal(&page.parent()?.join(path)))
 }
 
-/// A path without `..`.
+/// Returns a path without `..`.
 pub fn normal(path: &Path) -> PathBuf {
     path.components().fold(PathBuf::new(), |mut normal, part| {
         match part {
@@ -89,7 +89,7 @@ pub fn normal(path: &Path) -> PathBuf {
     })
 }
 
-/// The documents whose links are looked after.
+/// Returns the documents whose links are looked after.
 pub fn documents(root: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for folder in ["", "data", "docs", "docs/book/src", "integrations", "crates"] {
@@ -115,7 +115,7 @@ fn below(folder: &Path, deeper: usize, found: &mut Vec<PathBuf>) -> Result<()> {
     Ok(())
 }
 
-/// The links of a document that lead nowhere, a line each.
+/// Returns the links of a document that lead nowhere, a line each.
 pub fn broken(root: &Path, document: &Path) -> Result<Vec<String>> {
     let text = fs::read_to_string(document)?;
     let shown = document.strip_prefix(root).unwrap_or(document).display().to_string();
@@ -148,7 +148,7 @@ pub fn broken(root: &Path, document: &Path) -> Result<Vec<String>> {
     Ok(broken)
 }
 
-/// What the headings of a text are called in a link.
+/// Returns what the headings of a text are called in a link.
 fn anchors(text: &str) -> Vec<String> {
     let mut in_code = false;
     let mut anchors = Vec::new();

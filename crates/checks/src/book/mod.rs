@@ -33,7 +33,7 @@ struct Page {
     text: String,
 }
 
-/// The pages that stand in the book's folder, but for its contents.
+/// Returns the pages that stand in the book's folder, but for its contents.
 fn pages(root: &Path) -> Result<Vec<Page>> {
     let mut pages = Vec::new();
     for entry in fs::read_dir(root.join(SOURCE))? {
@@ -51,7 +51,7 @@ fn pages(root: &Path) -> Result<Vec<Page>> {
     Ok(pages)
 }
 
-/// The text of a page, with the files that it includes between its own lines.
+/// Returns the text of a page, with the files that it includes between its own lines.
 fn whole(page: &Path, text: &str) -> Result<String> {
     let mut whole = String::new();
     for line in text.split_inclusive('\n') {
@@ -64,7 +64,7 @@ fn read(file: &Path) -> Result<String> {
     fs::read_to_string(file).with_context(|| format!("{} is missing", file.display()))
 }
 
-/// What is wrong with the book and the links of all documents, a line each; empty: nothing.
+/// Returns what is wrong with the book and the links of all documents, a line each; empty: nothing.
 ///
 /// # Errors
 /// A document cannot be read.
@@ -152,7 +152,7 @@ mod tests {
         normal(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../.."))
     }
 
-    /// What is between backquotes and is a path of this project: it has a slash, and no blank, option,
+    /// Returns what is between backquotes and is a path of this project: it has a slash, and no blank, option,
     /// placeholder or address in it.
     fn paths(text: &str) -> Vec<&str> {
         let mut in_code = false;

@@ -40,7 +40,7 @@ const CAUSES: &[&str] = &[
 /// The folder of the pages; what it has beside them is the list.
 const PAGES: &str = "crates/machine/src/effect/";
 
-/// The cause that is named in most places, and these as `file:line`.
+/// Returns the cause that is named in most places, and these as `file:line`.
 pub fn most_often_named(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
     let counted = CAUSES.iter().map(|&cause| (cause, places(sources, cause)));
     counted.max_by_key(|(_, places)| places.len()).expect("the list is not empty")
@@ -76,7 +76,7 @@ fn capitalised(word: &str) -> String {
     first.to_ascii_uppercase() + rest
 }
 
-/// Whether a name stands in a line, as a whole.
+/// Returns whether a name stands in a line, as a whole.
 fn has_name(line: &str, name: &str) -> bool {
     let bytes = line.as_bytes();
     let whole = |at: usize| {

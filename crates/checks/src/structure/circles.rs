@@ -34,7 +34,7 @@ struct Crate<'s> {
     passed_on: BTreeMap<Vec<String>, BTreeMap<String, Vec<String>>>,
 }
 
-/// All circles of all crates, in the order of their first files.
+/// Returns all circles of all crates, in the order of their first files.
 pub fn find(sources: &[SourceFile]) -> Vec<Circle> {
     let mut crates: BTreeMap<&str, BTreeMap<Vec<String>, &SourceFile>> = BTreeMap::new();
     for source in sources.iter().filter(|source| !source.is_test()) {
@@ -45,7 +45,7 @@ pub fn find(sources: &[SourceFile]) -> Vec<Circle> {
     crates.into_values().flat_map(|modules| Crate::new(modules).circles()).collect()
 }
 
-/// The folder of a file's crate, and its module path there.
+/// Returns the folder of a file's crate, and its module path there.
 fn module(path: &str) -> Option<(&str, Vec<String>)> {
     let (package, file) = match path.strip_prefix("src/") {
         Some(file) => ("", file),
@@ -81,7 +81,7 @@ impl<'s> Crate<'s> {
         house
     }
 
-    /// A path from the root of the crate, if it leads into the crate.
+    /// Returns a path from the root of the crate, if it leads into the crate.
     fn full(&self, module: &[String], names: &[String]) -> Option<Vec<String>> {
         let mut here = module.to_vec();
         let mut rest = names;
@@ -109,7 +109,7 @@ impl<'s> Crate<'s> {
         Some(here)
     }
 
-    /// The module in which a path ends; names that are only passed on are followed.
+    /// Returns the module in which a path ends; names that are only passed on are followed.
     fn target(&self, full: &[String]) -> Vec<String> {
         let mut full = full.to_vec();
         // A module that passes on its own name would lead nowhere.
@@ -133,7 +133,7 @@ impl<'s> Crate<'s> {
         full
     }
 
-    /// What each module needs, and on which line it first says so.
+    /// Returns what each module needs, and on which line it first says so.
     fn needs(&self) -> BTreeMap<Vec<String>, BTreeMap<Vec<String>, usize>> {
         let mut needs: BTreeMap<_, BTreeMap<_, _>> = BTreeMap::new();
         for (module, source) in &self.modules {
@@ -180,7 +180,7 @@ impl<'s> Crate<'s> {
     }
 }
 
-/// All modules that one needs, directly or through others.
+/// Returns all modules that one needs, directly or through others.
 fn reached(
     from: &[String],
     needs: &BTreeMap<Vec<String>, BTreeMap<Vec<String>, usize>>,
@@ -197,7 +197,7 @@ fn reached(
     reached
 }
 
-/// All paths of two or more names in a file's code; a group in braces is a path for each member.
+/// Returns all paths of two or more names in a file's code; a group in braces is a path for each member.
 fn paths(code: &str) -> Vec<Path> {
     let bytes = code.as_bytes();
     let mut paths = Vec::new();

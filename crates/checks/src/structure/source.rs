@@ -28,12 +28,12 @@ impl SourceFile {
         String::from_utf8_lossy(&without_comments(&self.text).1).into_owned()
     }
 
-    /// How many lines it has.
+    /// Returns how many lines it has.
     pub fn lines(&self) -> usize {
         self.text.lines().count()
     }
 
-    /// Whether all of it is there for tests or examples.
+    /// Returns whether all of it is there for tests or examples.
     pub fn is_test(&self) -> bool {
         let mut parts = self.path.split('/');
         parts.any(|part| matches!(part, "tests" | "tests.rs" | "examples" | "host-tests"))
@@ -65,7 +65,7 @@ pub fn all(root: &Path) -> Result<Vec<SourceFile>> {
     Ok(sources)
 }
 
-/// The text with blanks for comments and test code, once with what is in quotes and once without.
+/// Returns the text with blanks for comments and test code, once with what is in quotes and once without.
 fn without_tests(text: &str) -> (String, String) {
     let (mut words, mut code) = without_comments(text);
     const MARK: &[u8] = b"#[cfg(test)]";
@@ -108,7 +108,7 @@ fn blank(bytes: &mut [u8]) {
     bytes.iter_mut().filter(|byte| **byte != b'\n').for_each(|byte| *byte = b' ');
 }
 
-/// The text with blanks for comments, once with what is in quotes and once without.
+/// Returns the text with blanks for comments, once with what is in quotes and once without.
 fn without_comments(text: &str) -> (Vec<u8>, Vec<u8>) {
     let bytes = text.as_bytes();
     let (mut words, mut code) = (bytes.to_vec(), bytes.to_vec());
@@ -178,7 +178,7 @@ fn end_of_raw_quotes(bytes: &[u8], from: usize) -> usize {
     find(&bytes[inside..], &close).map_or(bytes.len(), |length| inside + length + close.len())
 }
 
-/// A character in single quotes; a lifetime ends behind its quote.
+/// Returns a character in single quotes; a lifetime ends behind its quote.
 fn end_of_character(bytes: &[u8], from: usize) -> usize {
     let rest = &bytes[from + 1..];
     let length = match rest.first() {
@@ -191,7 +191,7 @@ fn end_of_character(bytes: &[u8], from: usize) -> usize {
     length.map_or(from + 1, |length| from + length + 2)
 }
 
-/// Whether a byte may stand in a name.
+/// Returns whether a byte may stand in a name.
 pub fn is_name(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_'
 }

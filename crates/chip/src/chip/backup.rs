@@ -51,7 +51,7 @@ fn noise(seed: &mut u32) -> u32 {
 }
 
 impl Chip {
-    /// Whether writes reach the backup domain. The unit whose write is lost is named.
+    /// Returns whether writes reach the backup domain. The unit whose write is lost is named.
     pub(crate) fn reaches_backup(&mut self, what: &str) -> bool {
         let open = self.pwr_cr & DBP != 0;
         if !open {
@@ -60,7 +60,7 @@ impl Chip {
         open
     }
 
-    /// Whether the 32 kHz oscillator swings now.
+    /// Returns whether the 32 kHz oscillator swings now.
     fn lse_runs(&self) -> bool {
         !self.faults.lse_dead && self.backup.lse_at.max(self.backup.again_at) <= self.now
     }

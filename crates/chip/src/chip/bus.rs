@@ -58,7 +58,7 @@ pub(crate) const GATES: &[(u32, usize, u32, &str)] = &[
 pub(crate) const BUSES: [&str; 5] = ["AHB1", "AHB2", "AHB3", "APB1", "APB2"];
 
 impl Chip {
-    /// Whether a unit's clock runs; if not, silicon reads 0 and drops writes.
+    /// Returns whether a unit's clock runs; if not, silicon reads 0 and drops writes.
     pub(crate) fn clocked(&mut self, addr: u32, what: &str) -> bool {
         let base = match addr {
             // Three converters in one kilobyte, and with the first of them what they share.
@@ -81,7 +81,7 @@ impl Chip {
         true
     }
 
-    /// A read by the processor; `size` in bytes.
+    /// Returns a read by the processor; `size` in bytes.
     pub fn bus_read(&mut self, addr: u32, size: u32) -> u32 {
         let word = addr & !3;
         let shift = (addr & 3) * 8;

@@ -47,7 +47,7 @@ impl Chip {
         }
     }
 
-    /// How long the bus must be recessive before the controller takes part in it.
+    /// Returns how long the bus must be recessive before the controller takes part in it.
     pub(crate) fn can_recessive(&self) -> u64 {
         if self.can.boff { 128 * 11 * self.can_bit() } else { 11 * self.can_bit() }
     }

@@ -22,7 +22,7 @@ impl Chip {
         (self.pin_mode(port, pin) == 2)
             .then(|| self.gpio[port].afr[pin as usize / 8] >> (4 * (pin % 8)) & 15)
     }
-    /// Whether one of these pins carries that alternate function; which.
+    /// Returns whether one of these pins carries that alternate function; which.
     pub(crate) fn muxed(&self, pins: &[(usize, u32)], af: u32) -> Option<(usize, u32)> {
         pins.iter().copied().find(|(p, n)| self.pin_af(*p, *n) == Some(af))
     }

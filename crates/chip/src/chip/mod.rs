@@ -282,7 +282,7 @@ impl Chip {
             self.shared.flag.fetch_or(1, Ordering::Relaxed);
         }
     }
-    /// A register's new value: only writable bits change, and a try at the others is reported.
+    /// Returns a register's new value: only writable bits change, and a try at the others is reported.
     pub fn set(&mut self, name: &str, old: u32, new: u32, writable: u32) -> u32 {
         let wrong = (old ^ new) & !writable;
         if wrong != 0 {
@@ -385,7 +385,7 @@ impl Chip {
         self.shared.flag.fetch_or(2, Ordering::Relaxed);
     }
 
-    /// Whether any interrupt line is up.
+    /// Returns whether any interrupt line is up.
     pub fn interrupts(&self) -> bool {
         self.irqs.iter().any(|line| *line)
     }

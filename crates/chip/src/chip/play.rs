@@ -14,7 +14,7 @@ fn bytes(hex: &str) -> Vec<u8> {
         .collect()
 }
 
-/// The number that is word `i` of a line.
+/// Returns the number that is word `i` of a line.
 fn number(words: &[String], i: usize) -> f64 {
     words.get(i).and_then(|word| word.parse().ok()).unwrap_or_else(|| panic!("script: {words:?}"))
 }

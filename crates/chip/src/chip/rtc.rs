@@ -64,7 +64,7 @@ impl Default for Rtc {
     }
 }
 
-/// A number in BCD, of so many bits of tens.
+/// Returns a number in BCD, of so many bits of tens.
 fn of_bcd(bcd: u32) -> u32 {
     (bcd >> 4) * 10 + (bcd & 15)
 }

@@ -70,7 +70,7 @@ impl Tim {
         })
         .collect()
     }
-    /// Whether it counts its clock.
+    /// Returns whether it counts its clock.
     pub(crate) fn running(&self) -> bool {
         self.cr1 & 1 != 0 && self.smcr & 7 != 7
     }

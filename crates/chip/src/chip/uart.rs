@@ -190,13 +190,13 @@ impl Chip {
         self.uart[n].tx_at = self.now + (bits * TPS as f64 / self.uart_baud(n)) as u64;
     }
 
-    /// Whether what goes out reaches the wire: a transceiver of RS-485 has to be told.
+    /// Returns whether what goes out reaches the wire: a transceiver of RS-485 has to be told.
     fn drives(&self, n: usize) -> bool {
         let Some((port, pin)) = self.world.wires[n].drive else { return true };
         self.pin_mode(port, pin) == 1 && self.gpio[port].odr >> pin & 1 != 0
     }
 
-    /// Whether the unit takes the characters of the wire as they are meant (RM0090 30.3.7).
+    /// Returns whether the unit takes the characters of the wire as they are meant (RM0090 30.3.7).
     fn agrees(&self, n: usize) -> bool {
         let settings = self.uart[n].cr1 & (M | PCE | PS);
         let meant = match self.world.wires[n].parity {

@@ -23,7 +23,7 @@ fn open(bench: &Bench) {
     bench.set(PWR, 1 << 8);
 }
 
-/// The RTC from the crystal, set to 2024-02-28 23:59:58, a Wednesday.
+/// Returns the RTC from the crystal, set to 2024-02-28 23:59:58, a Wednesday.
 fn started(battery: bool) -> Bench {
     let mut bench = bench(battery);
     open(&bench);

@@ -19,22 +19,22 @@ impl Asks {
         Ok(Self(StateBits(object::number(session, object::STATE_BITS)?)))
     }
 
-    /// The state that they were read from.
+    /// Returns the state that they were read from.
     pub fn state(&self) -> StateBits {
         self.0
     }
 
-    /// Whether the calibration is of another machine or board than this one.
+    /// Returns whether the calibration is of another machine or board than this one.
     pub fn is_foreign(&self) -> bool {
         self.0.contains(StateBits::FOREIGN_MACHINE)
     }
 
-    /// Whether there are none that bar every offset.
+    /// Returns whether there are none that bar every offset.
     pub fn is_empty(&self) -> bool {
         self.words().iter().all(|word| *word == "heat-unknown")
     }
 
-    /// A word each, in the order in which `Confirm` answers them.
+    /// Returns a word each, in the order in which `Confirm` answers them.
     pub fn words(&self) -> Vec<&'static str> {
         open_questions(self.0).into_iter().map(|(word, _)| word).collect()
     }

@@ -107,7 +107,7 @@ pub fn saved(
     Ok(saved)
 }
 
-/// What the file holds, unless it is nothing, or a backup of the same owner.
+/// Returns what the file holds, unless it is nothing, or a backup of the same owner.
 fn other_content(file: &Path, owner: &Owner) -> Option<String> {
     if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
         return None;

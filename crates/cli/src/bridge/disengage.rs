@@ -77,7 +77,7 @@ pub fn run(args: &Disengage, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::NotMet)
 }
 
-/// The offsets in µm.
+/// Returns the offsets in µm.
 fn text(nm: [Option<i32>; 3]) -> String {
     let axes = ["x", "y", "z"].into_iter().zip(nm);
     let all = axes.map(|(axis, nm)| match nm {

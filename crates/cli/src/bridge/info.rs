@@ -76,7 +76,7 @@ impl Info {
         }
     }
 
-    /// Whether all has come; what an adapter says of itself only where there is one.
+    /// Returns whether all has come; what an adapter says of itself only where there is one.
     fn is_complete(&self, has_adapter: bool) -> bool {
         (!has_adapter || self.version.is_some() && self.serial.is_some())
             && self.heartbeat.is_some()
@@ -166,7 +166,7 @@ impl Objects {
     }
 }
 
-/// What was learned, in words. A bridge from before it could be told knows nothing of it.
+/// Returns what was learned, in words. A bridge from before it could be told knows nothing of it.
 fn learned(session: &mut Session) -> Option<String> {
     let amounts =
         object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
@@ -211,7 +211,7 @@ fn stop(session: &mut Session) -> Result<String> {
     Ok(words)
 }
 
-/// The reasons for which the board has started since power-on, and how often.
+/// Returns the reasons for which the board has started since power-on, and how often.
 fn resets(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
     let (index, first) = object::RESETS;
     let mut all = Vec::new();

@@ -141,7 +141,7 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-/// The calibration in a file, without what follows it.
+/// Returns the calibration in a file, without what follows it.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     let bytes = files::bytes(path, MOST_BYTES)?;
@@ -158,7 +158,7 @@ fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(whole(&bytes).map_err(|error| bad(error.to_string()))?.to_vec())
 }
 
-/// The file with the calibration that the bridge ran on before the present one.
+/// Returns the file with the calibration that the bridge ran on before the present one.
 fn previous(session: &mut Session) -> Result<PathBuf> {
     let running = object::number(session, RUNNING_CRC)?;
     let board = object::number(session, object::SERIAL_NUMBER)?;

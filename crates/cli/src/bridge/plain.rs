@@ -162,7 +162,7 @@ fn listen(
     Ok(())
 }
 
-/// The line, opened again, if that is possible until `line_end`.
+/// Returns the line, opened again, if that is possible until `line_end`.
 fn reopened(
     port: &Port,
     line_end: Instant,
@@ -192,7 +192,7 @@ struct Calibration {
 }
 
 impl Calibration {
-    /// The CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
+    /// Returns the CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
     /// One that is not expected is told, or refused.
     fn ask(&self, session: &mut Session) -> Result<Option<u32>> {
         let told = object::number(session, object::RUNNING_CRC);
@@ -214,7 +214,7 @@ impl Calibration {
     }
 }
 
-/// The CRC of what `compile` makes of a machine file. What does not compile cannot be compared.
+/// Returns the CRC of what `compile` makes of a machine file. What does not compile cannot be compared.
 fn compiled_crc(machine: &Path) -> Option<u32> {
     let machine = MachineFile::read(machine).ok()?;
     compile(&machine).ok().map(|compiled| compiled.crc())

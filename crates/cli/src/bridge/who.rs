@@ -8,7 +8,7 @@ use trueup_store::calibration::decode;
 
 use crate::report;
 
-/// What differs between the calibration that the bridge runs on and `new`, a sentence each; `None`: it has
+/// Returns what differs between the calibration that the bridge runs on and `new`, a sentence each; `None`: it has
 /// no valid one, or gives none that this tool understands.
 pub fn differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<String>>> {
     Ok(replaced(session, new)?.1)
@@ -17,7 +17,7 @@ pub fn differences(session: &mut Session, new: &[u8]) -> Result<Option<Vec<Strin
 /// The calibration that a bridge runs on, and what differs from it.
 pub type Replaced = (Option<Vec<u8>>, Option<Vec<String>>);
 
-/// The same, and the calibration that the bridge runs on.
+/// Returns the same, and the calibration that the bridge runs on.
 pub fn replaced(session: &mut Session, new: &[u8]) -> Result<Replaced> {
     let bar = bar("reading the bridge's calibration", 0);
     let old = load::running(session, |got, of| {
@@ -49,7 +49,7 @@ pub fn compare_builds(session: &mut Session) -> Result<Build> {
     Ok(bridge)
 }
 
-/// A bar over so many bytes, on standard error.
+/// Returns a bar over so many bytes, on standard error.
 pub fn bar(what: &'static str, bytes: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg} {wide_bar} {bytes} of {total_bytes} {eta}");
     ProgressBar::with_draw_target(Some(bytes as u64), ProgressDrawTarget::stderr())

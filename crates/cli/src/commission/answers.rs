@@ -37,7 +37,7 @@ impl Answers {
         Ok(Self { written: Some(lines.map(str::to_owned).collect()) })
     }
 
-    /// The answer to a question; `None`: there is none yet.
+    /// Returns the answer to a question; `None`: there is none yet.
     pub fn ask(&mut self, question: &str) -> Result<Option<String>> {
         trueup_output::prompt(format_args!("{question}: "));
         if let Some(written) = &mut self.written {

@@ -51,7 +51,7 @@ impl Step {
         }
     }
 
-    /// What is done in it, for the user.
+    /// Returns what is done in it, for the user.
     pub fn title(self) -> &'static str {
         match self {
             Self::Sign => "sign test at 10 µm",

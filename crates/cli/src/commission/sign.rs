@@ -20,7 +20,7 @@ const HALF_UM: f64 = GROWTH_UM / 2.0;
 /// A slope that turns 10 V into less than 0.1 µm and is still none of 0.
 const NO_SLOPE_UM_PER_COUNT: f64 = 1e-6;
 
-/// What is to be done at the machine.
+/// Returns what is to be done at the machine.
 pub fn how(machine: &Machine, axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
         None if machine.kind == Kind::Lathe => {
@@ -38,7 +38,7 @@ pub fn how(machine: &Machine, axis: Option<LinearAxis>) -> String {
     }
 }
 
-/// What is asked for then.
+/// Returns what is asked for then.
 pub fn question(machine: &Machine, axis: Option<LinearAxis>) -> String {
     match axis.map(letter) {
         None if machine.kind == Kind::Lathe => {
@@ -63,7 +63,7 @@ pub fn direction(machine: &Machine, axis: Option<LinearAxis>) -> [f64; 3] {
     }
 }
 
-/// The machine under that calibration: of an axis, or of the tool.
+/// Returns the machine under that calibration: of an axis, or of the tool.
 pub fn machine(machine: &Machine, axis: Option<LinearAxis>) -> Result<Machine, UserError> {
     let mut test = machine.clone();
     for (axis, direction) in machine.limits.max_um.into_iter().zip(direction(machine, axis)) {

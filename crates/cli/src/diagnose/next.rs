@@ -15,7 +15,7 @@ use crate::{
     report,
 };
 
-/// The run as a control is to do it.
+/// Returns the run as a control is to do it.
 fn plan(next: &Next, machine: &Machine, options: &Options) -> Result<Plan, Refused> {
     let told = &next.told[0];
     let why = format!("To tell {} from {}.", told.causes[0], told.causes[1]);

@@ -35,7 +35,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// The fits of positions, whose figures are those of ISO 230-2: their name, and which readings.
+    /// Returns the fits of positions, whose figures are those of ISO 230-2: their name, and which readings.
     pub fn positions(&self) -> Option<(&'static str, &Positions)> {
         match self {
             Self::Pitch(args) => Some(("pitch", &args.positions)),
@@ -83,7 +83,7 @@ pub struct OfAxis {
 }
 
 impl OfAxis {
-    /// The quantity of `error`, or of the axis.
+    /// Returns the quantity of `error`, or of the axis.
     pub fn quantity(&self, error: &Error) -> Option<String> {
         self.axis.as_ref().map(|axis| format!("d{axis}")).or_else(|| error.quantity.clone())
     }

@@ -16,7 +16,7 @@ const MOST_BYTES: u64 = 64 << 20;
 /// A record that is older belongs to another moment: `trueup linuxcnc --record` writes a row every two seconds.
 const OLDEST_S: f64 = 60.0;
 
-/// The record at `path`, with a reading of the growth (or of another quantity) in its last row.
+/// Returns the record at `path`, with a reading of the growth (or of another quantity) in its last row.
 ///
 /// # Errors
 /// It cannot be read, is no run file, measures something already, or does not end now.

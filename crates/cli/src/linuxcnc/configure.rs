@@ -130,7 +130,7 @@ impl Configuration {
         by.map(Entry::from).or(here).or_else(by_hand).unwrap_or(Entry::Joint)
     }
 
-    /// The machine file as the INI file names it, else as the user does.
+    /// Returns the machine file as the INI file names it, else as the user does.
     fn machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
         let here = || self.installed.as_ref().and_then(|it| it.bridge.machine.clone());
         let (name, path) = match (given, here()) {

@@ -2,7 +2,7 @@
 
 use std::{fmt::Write as _, fs, path::Path, process::Command};
 
-/// A warm-up of `left` of 60 µm, a row a minute, with a gauge of 0.1 µm.
+/// Returns a warm-up of `left` of 60 µm, a row a minute, with a gauge of 0.1 µm.
 fn run(left: f64) -> String {
     let mut csv = String::from("time_s,spindle_rpm,measured_elongation_um\n");
     for minute in 0..120 {

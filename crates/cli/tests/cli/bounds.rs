@@ -26,7 +26,7 @@ fn limited(desk: &Desk, line: &str) -> Output {
         .expect("every Unix has a shell")
 }
 
-/// What the command says of a file that it must refuse.
+/// Returns what the command says of a file that it must refuse.
 fn refused(desk: &Desk, line: &str) -> String {
     let output = limited(desk, line);
     let said = crate::desk::in_one_line(&String::from_utf8_lossy(&output.stderr));

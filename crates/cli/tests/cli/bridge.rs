@@ -15,7 +15,7 @@ use crate::wire::ReceivedBytes;
 use trueup_machine::{RunFile, compile};
 use trueup_store::calibration::identity;
 
-/// A run that needs no files, and must end with `code`.
+/// Returns a run that needs no files, and must end with `code`.
 fn said(line: &str, code: i32) -> (String, String) {
     Desk::new(&[]).said(line, code)
 }
@@ -191,7 +191,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);
 }
 
-/// A folder with another calibration, `cal.bin`, and its CRC.
+/// Returns a folder with another calibration, `cal.bin`, and its CRC.
 fn other() -> (Desk, u32) {
     let mut machine = paper_machine();
     machine.limits.slew_um_per_s *= 2.0;

@@ -15,7 +15,7 @@ const SCENARIO: &str = "name = \"warm-up\"\nmeasure = [\"elongation\"]\ninterval
     [[segment]]\nkind = \"spindle\"\nduration_s = 7200.0\nspindle_rpm = 24000.0\n\
     [[segment]]\nkind = \"spindle\"\nduration_s = 3600.0\n";
 
-/// The machine as its builder believes it, a bridge whose CNC is engaged when the tool's log says so, and the
+/// Returns the machine as its builder believes it, a bridge whose CNC is engaged when the tool's log says so, and the
 /// tool's line.
 fn begun() -> (Desk, String) {
     let desk = Desk::new(&[("m.toml", PAPER), ("s.toml", SCENARIO)]);

@@ -91,7 +91,7 @@ impl Shop {
         writeln!(typed, "{word}").expect("the bridge runs");
     }
 
-    /// What a gauge at the tip shows, positive out of the spindle: the offset lifts the tool.
+    /// Returns what a gauge at the tip shows, positive out of the spindle: the offset lifts the tool.
     fn gauge_um(&self) -> f64 {
         let now = self.now();
         now.growth_um - now.offset_z_um

@@ -69,7 +69,7 @@ fn json_is_printed_and_the_rows_are_written() {
     assert_eq!(desk.text("d/residuals.csv").lines().count(), 16);
 }
 
-/// Two thermometers, of which the board has one; the machine grows with both.
+/// Returns two thermometers, of which the board has one; the machine grows with both.
 fn two_thermometers(rows: u32) -> Desk {
     let machine = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\ntemp_front_c = { channel = 0, kind = \
                    \"pt100\" }\n[spindle]\nsource = \"temperature\"\n[spindle.temperature]\nsensor = \

@@ -14,7 +14,7 @@ const TABLE: &str = include_str!("../../../../data/spindle_paper_table1.csv");
 /// The fixed part of the calibration and its CRC: the paper has no tables.
 const PAPER_BYTES: usize = 613;
 
-/// A folder with the paper's files.
+/// Returns a folder with the paper's files.
 fn desk() -> Desk {
     Desk::new(&[("m.toml", PAPER), ("run.csv", TABLE)])
 }
@@ -25,7 +25,7 @@ impl Desk {
         self.said(line, code).0
     }
 
-    /// The one line on standard error of a run that must refuse its input and print no result.
+    /// Returns the one line on standard error of a run that must refuse its input and print no result.
     fn refused(&self, line: &str) -> String {
         let (out, err) = self.said(line, 2);
         assert_eq!(out, "", "{line}: {err}");

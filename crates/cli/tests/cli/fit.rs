@@ -34,7 +34,7 @@ impl Desk {
     }
 }
 
-/// A number of the JSON that a fit printed, by its path.
+/// Returns a number of the JSON that a fit printed, by its path.
 fn number(json: &str, path: &str) -> f64 {
     let value: serde_json::Value = serde_json::from_str(json).expect("JSON");
     value

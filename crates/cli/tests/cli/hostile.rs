@@ -28,7 +28,7 @@ fn run() -> String {
     text
 }
 
-/// What may not be shown as it is: all controls but line breaks and tabs, and what turns a line.
+/// Returns what may not be shown as it is: all controls but line breaks and tabs, and what turns a line.
 fn unsafe_in(text: &str) -> Option<char> {
     let turns = |c| matches!(c, '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     text.chars().find(|c| (c.is_control() && !['\n', '\t'].contains(c)) || turns(*c))
@@ -74,7 +74,7 @@ fn what_a_file_brings_is_shown_escaped_everywhere() {
     }
 }
 
-/// A device at a port that opens its channel, and answers each request of an object by `answer`.
+/// Returns a device at a port that opens its channel, and answers each request of an object by `answer`.
 fn device(mut answer: impl FnMut([u8; 8]) -> Option<[u8; 8]> + Send + 'static) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let port = format!("tcp:{}", listener.local_addr().expect("bound"));

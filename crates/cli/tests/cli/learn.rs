@@ -9,7 +9,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\n\
                        [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
                        k_um_per_c = 2.0 # the maker's\n";
 
-/// A day of readings each half hour, of a spindle that grows by 2.6 µm/K.
+/// Returns a day of readings each half hour, of a spindle that grows by 2.6 µm/K.
 fn day(number: u32) -> String {
     let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
     for n in 0..30 {
@@ -121,7 +121,7 @@ fn a_record_that_no_longer_fits_ends_with_3_and_says_what_to_measure() {
     assert!(out.contains("touch off the tool"), "{out}");
 }
 
-/// The same readings for another time of the year and with another machine file.
+/// Returns the same readings for another time of the year and with another machine file.
 fn learned_from(desk: &Desk, machine: &str, record: &str, code: i32) -> (String, String) {
     desk.said(&format!("learn --machine {machine} --run {record} -o learned.toml"), code)
 }

@@ -7,7 +7,7 @@ use crate::desk::Desk;
 const MACHINE: &str =
     "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 1000.0]\n";
 
-/// What an indicator shows at the rows of a template: no error upwards, `width` downwards.
+/// Returns what an indicator shows at the rows of a template: no error upwards, `width` downwards.
 fn filled(template: &str, width: f64) -> String {
     let mut text = String::new();
     for (n, line) in template.lines().enumerate() {

@@ -3,7 +3,7 @@
 
 use crate::desk::Desk;
 
-/// The lines of the code blocks of a page that are commands of the tool, without the tool's name.
+/// Returns the lines of the code blocks of a page that are commands of the tool, without the tool's name.
 fn commands_of_page(page: &str) -> Vec<String> {
     let mut is_code = false;
     let mut commands = Vec::new();
@@ -14,7 +14,7 @@ fn commands_of_page(page: &str) -> Vec<String> {
     commands
 }
 
-/// The commands in the last lines of a machine file; what follows two spaces is a comment.
+/// Returns the commands in the last lines of a machine file; what follows two spaces is a comment.
 fn commands_of_file(file: &str) -> Vec<String> {
     let next = file.split("# Next").nth(1).expect("it says what comes next");
     let lines = next.lines().filter_map(|line| line.strip_prefix("#   trueup "));

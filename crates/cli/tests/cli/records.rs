@@ -8,13 +8,13 @@ use trueup_machine::{MachineFile, compile};
 
 const PAPER: &str = include_str!("../../../../data/paper_spindle.toml");
 
-/// A spindle that warms up and cools while a bridge corrects what the machine file says, four fifths of
+/// Returns a spindle that warms up and cools while a bridge corrects what the machine file says, four fifths of
 /// it, from row 100 to row 300; it ramps out for 5 rows, and a logger has lost the quality of 2.
 fn record(calibration: u32) -> String {
     record_of(calibration, 1.0, 100..300)
 }
 
-/// The same of a CNC that moves by `factor` times the offset, engaged in these rows.
+/// Returns the same of a CNC that moves by `factor` times the offset, engaged in these rows.
 fn record_of(calibration: u32, factor: f64, engaged: Range<i32>) -> String {
     let mut text = String::from(
         "time_s,offset_x_um,offset_y_um,offset_z_um,quality,flags,age_ms,calibration_crc,\

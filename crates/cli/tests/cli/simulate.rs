@@ -65,7 +65,7 @@ fn what_is_wrong_with_a_scenario_is_told_with_its_place_and_nothing_is_written()
     assert_eq!(desk.files("."), before);
 }
 
-/// The largest difference between what the twin and the host's model make of a machine file.
+/// Returns the largest difference between what the twin and the host's model make of a machine file.
 fn largest_difference_um(challenge: &Challenge) -> f64 {
     let machine = MachineFile::parse(&challenge.machine, Path::new("m.toml"))
         .unwrap_or_else(|bad| panic!("{bad}\n{}", challenge.machine));

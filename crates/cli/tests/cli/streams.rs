@@ -22,7 +22,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[inputs]\n\
 const SCENARIO: &str = include_str!("../../../../data/scenario-axis.toml");
 const GANTRY: &str = include_str!("../../../../data/gantry.toml");
 
-/// A spindle that grows by 2.6 µm/K and by this more.
+/// Returns a spindle that grows by 2.6 µm/K and by this more.
 fn run(more_um: f64) -> String {
     let mut text = "time_s,temp_a_c,measured_elongation_um\n".to_string();
     for n in 0..30 {
@@ -94,7 +94,7 @@ fn stdio(stream: Stream, whole: impl FnOnce() -> Stdio) -> Stdio {
     }
 }
 
-/// What has come of a line: its exit code, and what could be read.
+/// Returns what has come of a line: its exit code, and what could be read.
 fn ended(desk: &Desk, line: &str, out: Stream, err: Stream) -> (Option<i32>, String) {
     for file in desk.files(".").iter().filter(|file| file.starts_with("o-") || *file == "o.csv") {
         let path = desk.path(file);
@@ -220,7 +220,7 @@ fn a_monitor_whose_reader_leaves_ends_with_its_verdict() {
     assert_eq!(code, Some(3), "{text}");
 }
 
-/// A pipe that is full and is not read, and its reading end.
+/// Returns a pipe that is full and is not read, and its reading end.
 fn stalled() -> (PipeReader, Stdio) {
     let (reader, mut writer) = pipe().expect("a pipe");
     // The capacity of a pipe of Linux.

@@ -9,7 +9,7 @@ const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nso
 const LASH: &str =
     "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x.backlash]\nwidth_um = 14.0\n";
 
-/// A spindle of 3.1 µm/K and 450 s; `shown` makes of each temperature what the file says.
+/// Returns a spindle of 3.1 µm/K and 450 s; `shown` makes of each temperature what the file says.
 fn spindle(shown: impl Fn(usize, f64) -> f64) -> String {
     let mut text = String::from("time_s,temp_nose_c,spindle_rpm,measured_elongation_um\n");
     let (mut nose, mut growth) = (0.0, 0.0);

@@ -8,7 +8,7 @@ use crate::desk::Desk;
 use crate::pretended::{Fault, PAPER, bridge_many, bridge_with, paper};
 use crate::terminal::Terminal;
 
-/// The paper's machine, and the same with another gain and slew limit.
+/// Returns the paper's machine, and the same with another gain and slew limit.
 fn desk() -> Desk {
     let other = PAPER
         .replace("0.0152587890625 # 500/32768", "0.0170")

@@ -51,7 +51,7 @@ impl Agreement {
         self.off_steps = if is_off { self.off_steps.saturating_add(1) } else { 0 };
     }
 
-    /// Whether one of them no longer fits.
+    /// Returns whether one of them no longer fits.
     pub const fn is_off(&self) -> bool {
         self.off_steps >= LASTS_STEPS
     }
@@ -69,7 +69,7 @@ mod tests {
     /// How slowly what a model leaves wanders, in steps: ten minutes.
     const WANDER_STEPS: f64 = 6_000.0;
 
-    /// How often a model behind the sensor is said not to fit in so many hours of a machine that starts, stops,
+    /// Returns how often a model behind the sensor is said not to fit in so many hours of a machine that starts, stops,
     /// and is switched on anew; the model is off by this share of the growth and wanders by so much RMS beside.
     fn told(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
         let mut seed = seed;

@@ -24,7 +24,7 @@ impl Bridge<'_> {
         is_permitted
     }
 
-    /// Whether a reference is no larger than a correction may be: the error of an axis its largest offset, the
+    /// Returns whether a reference is no larger than a correction may be: the error of an axis its largest offset, the
     /// elongation the largest of the three.
     #[must_use]
     pub fn permits(&self, reference: &Reference) -> bool {

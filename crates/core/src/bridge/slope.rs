@@ -80,21 +80,21 @@ impl Bridge<'_> {
     }
 }
 
-/// A gradient in 1/256 bits of a slope: 0.1 µm/m are 10⁻⁶ nm per position unit.
+/// Returns a gradient in 1/256 bits of a slope: 0.1 µm/m are 10⁻⁶ nm per position unit.
 fn bits(gradient: Gradient) -> Fine {
     const SHIFT: u32 = Gradient::FRACTION_BITS - Fine::FRACTION_BITS;
     // 32 bits by 20: below 2⁶³.
     Fine::saturating(rounded_shift(i64::from(gradient.0).wrapping_mul(1_000_000), SHIFT))
 }
 
-/// The slope of the offset against an error that grows by so much.
+/// Returns the slope of the offset against an error that grows by so much.
 fn slope_of(error: Fine) -> i16 {
     let bits = error.rounded().negated().0;
     let held = bits.clamp(i32::from(LARGEST).saturating_neg(), LARGEST.into());
     i16::try_from(held).unwrap_or_default()
 }
 
-/// The gradient of a slope in bits.
+/// Returns the gradient of a slope in bits.
 fn gradient(slope: i16) -> Gradient {
     // 16 bits by 36, at most 2⁵¹, and the quotient is within 32.
     let scaled = i64::from(slope).wrapping_shl(Gradient::FRACTION_BITS);
@@ -102,7 +102,7 @@ fn gradient(slope: i16) -> Gradient {
     Gradient(i32::try_from(quotient).unwrap_or(if slope < 0 { i32::MIN } else { i32::MAX }))
 }
 
-/// The largest step of the slope in so many milliseconds, in bits, at least one.
+/// Returns the largest step of the slope in so many milliseconds, in bits, at least one.
 fn step(slew_nm_per_s: u32, elapsed_ms: u32, away: u32) -> i16 {
     // nm of the step · metres⁻¹ / 100: 32 bits by 32 fit in 64, and so does the product with 10⁵ of what is left.
     let nm = u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) / 1_000;

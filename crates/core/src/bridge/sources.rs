@@ -36,7 +36,7 @@ const RETURN_STEPS: u32 = RETURN_MS / STEP_MS;
 const MILLISECONDS_PER_SECOND: u32 = 1_000;
 
 impl State {
-    /// The source that was used last and its shift, once the elongation goes on.
+    /// Returns the source that was used last and its shift, once the elongation goes on.
     #[must_use]
     pub fn kept_joint(&self) -> Option<KeptJoint> {
         let Joint { last, shift, is_anchored, .. } = self.joint;
@@ -57,7 +57,7 @@ impl State {
 }
 
 impl Bridge<'_> {
-    /// The source of this tick.
+    /// Returns the source of this tick.
     #[inline]
     pub(super) fn select(&self, state: &mut State, elapsed_ms: u32) -> SelectedSource {
         const SENSOR: SelectedSource = SelectedSource::Source(ElongationSource::Sensor);
@@ -169,7 +169,7 @@ impl Bridge<'_> {
         }
     }
 
-    /// Whether the shift is still being taken back.
+    /// Returns whether the shift is still being taken back.
     pub(super) fn is_rejoining(&self, state: &State) -> bool {
         state.joint.shift.0 != 0 && self.is_first(state.joint.selected)
     }
@@ -230,7 +230,7 @@ impl Bridge<'_> {
         chosen
     }
 
-    /// Whether what a source says counts from the same zero as the reference.
+    /// Returns whether what a source says counts from the same zero as the reference.
     fn has_zero(&self, state: &State, source: ElongationSource) -> bool {
         self.needs.first == Some(source)
             || state.joint.is_anchored
@@ -252,14 +252,14 @@ impl Bridge<'_> {
         }
     }
 
-    /// Whether what a source says is of this step of the heat.
+    /// Returns whether what a source says is of this step of the heat.
     fn is_told(&self, state: &State, source: ElongationSource) -> bool {
         let temperature = &self.calibration.spindle.temperature;
         source != ElongationSource::Temperature
             || temperature.is_none_or(|it| state.channels.is_current(it.channel))
     }
 
-    /// Whether a source can tell nothing now. What has only not come yet is not dead.
+    /// Returns whether a source can tell nothing now. What has only not come yet is not dead.
     fn is_dead(&self, state: &State, source: ElongationSource) -> bool {
         let spindle = &self.calibration.spindle;
         match source {
@@ -275,27 +275,27 @@ impl Bridge<'_> {
         }
     }
 
-    /// Whether every source of the elongation is dead or without a zero, and there are some.
+    /// Returns whether every source of the elongation is dead or without a zero, and there are some.
     pub(super) fn all_sources_are_dead(&self, state: &State) -> bool {
         let mut sources = self.calibration.spindle.chain.into_iter().flatten().peekable();
         sources.peek().is_some()
             && sources.all(|it| self.is_dead(state, it) || !self.has_zero(state, it))
     }
 
-    /// Whether a fall-back could not take over if it were needed: it is watched before it is.
+    /// Returns whether a fall-back could not take over if it were needed: it is watched before it is.
     #[must_use]
     pub fn fall_back_is_dead(&self, state: &State) -> bool {
         let sources = self.calibration.spindle.chain.into_iter().flatten();
         sources.skip(1).any(|source| self.is_dead(state, source))
     }
 
-    /// Whether what the sources measure no longer fits the calibration: they grow apart.
+    /// Returns whether what the sources measure no longer fits the calibration: they grow apart.
     #[must_use]
     pub const fn is_unfit(&self, state: &State) -> bool {
         state.joint.agreement.is_off()
     }
 
-    /// The elongation by the source in use, as it goes on from the one before.
+    /// Returns the elongation by the source in use, as it goes on from the one before.
     #[inline]
     pub(super) fn elongation(&self, state: &State) -> Nanometres {
         let raw = match state.joint.selected.source() {
@@ -306,7 +306,7 @@ impl Bridge<'_> {
         Nanometres::saturating(sum)
     }
 
-    /// What a source says, with what was learned and the terms of a diagnosis. Both were fitted to the first
+    /// Returns what a source says, with what was learned and the terms of a diagnosis. Both were fitted to the first
     /// source, and say nothing of another.
     #[inline]
     fn raw(&self, state: &State, source: ElongationSource) -> Nanometres {
@@ -341,7 +341,7 @@ impl Bridge<'_> {
         term::elongation(terms, plain.fine(), state.heat.terms(), operating).rounded()
     }
 
-    /// The quality of an offset that is followed: how far down the chain its source stands.
+    /// Returns the quality of an offset that is followed: how far down the chain its source stands.
     pub(super) fn quality(&self, selected: SelectedSource) -> Quality {
         match selected.source() {
             Some(source) if self.needs.first == Some(source) => Quality::Live,

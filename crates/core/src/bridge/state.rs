@@ -143,12 +143,12 @@ impl<T> Default for Heard<T> {
 }
 
 impl<T: Copy> Heard<T> {
-    /// What it says, until it is too old.
+    /// Returns what it says, until it is too old.
     pub fn value(&self, timeout_ms: u32) -> Option<T> {
         if self.age.is_above(timeout_ms) { None } else { self.value }
     }
 
-    /// What it says, however old.
+    /// Returns what it says, however old.
     pub fn latest(&self) -> Option<T> {
         self.value
     }
@@ -197,20 +197,20 @@ impl Said {
 }
 
 impl State {
-    /// The time of the last tick.
+    /// Returns the time of the last tick.
     #[must_use]
     pub fn now(&self) -> Millis {
         self.now
     }
 
-    /// The elongation by the sensor, before reference and limits; `None` where it is not fresh.
+    /// Returns the elongation by the sensor, before reference and limits; `None` where it is not fresh.
     #[must_use]
     pub fn elongation(&self) -> Option<Nanometres> {
         self.elongation.filter(|_| self.sensor_is_fresh())
     }
 
-    /// The tool and the conditions that were last heard, where a term needs them; and whether they are lost and the
-    /// defaults stand in.
+    /// Returns the tool and the conditions that were last heard, where a term needs them; and whether they are lost and
+    /// the defaults stand in.
     #[must_use]
     pub fn conditions(&self) -> (Option<Conditions>, bool) {
         (self.conditions.last, self.conditions.by_default)
@@ -234,7 +234,7 @@ impl State {
         self.channels.temperature(channel).filter(|_| !is_held)
     }
 
-    /// How the parts differ from what the calibration says.
+    /// Returns how the parts differ from what the calibration says.
     #[must_use]
     pub const fn learned(&self) -> &Learned {
         &self.heat.learned
@@ -245,19 +245,19 @@ impl State {
         self.heat.learned = Learned::default();
     }
 
-    /// Whether it is not known how warm the machine was before the start.
+    /// Returns whether it is not known how warm the machine was before the start.
     #[must_use]
     pub fn heat_is_unknown(&self) -> bool {
         self.heat.is_unknown()
     }
 
-    /// The error that counts as none.
+    /// Returns the error that counts as none.
     #[must_use]
     pub fn reference(&self) -> Reference {
         self.reference
     }
 
-    /// Whether a `Zero` has taken a reference since the last call, be it the same as before.
+    /// Returns whether a `Zero` has taken a reference since the last call, be it the same as before.
     pub fn take_zeroed(&mut self) -> bool {
         core::mem::take(&mut self.zeroed)
     }
@@ -273,12 +273,13 @@ impl State {
         self.barred = barred;
     }
 
-    /// The noise of the raw codes since the last call.
+    /// Returns the noise of the raw codes since the last call.
     pub fn take_noise(&mut self) -> Noise {
         self.health.take_noise()
     }
 
-    /// Whether the sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
+    /// Returns whether the sensor tells of something that no spindle does: a jump, or another run-out at the same
+    /// speed.
     #[must_use]
     pub fn sensor_is_odd(&self) -> bool {
         self.health.has_jumped() || self.run_out.is_odd()
@@ -310,7 +311,7 @@ impl State {
         before != (*position, travel.reversal())
     }
 
-    /// Whether a position has come of late that is not believed: its axis could not have reached it.
+    /// Returns whether a position has come of late that is not believed: its axis could not have reached it.
     #[must_use]
     pub fn position_has_jumped(&self) -> bool {
         !self.jump_age.is_above(JUMP_TOLD_MS)
@@ -323,7 +324,7 @@ impl State {
         self.tool.hear((angles, direction));
     }
 
-    /// The age of the oldest position or angle of what moves.
+    /// Returns the age of the oldest position or angle of what moves.
     #[inline]
     pub(super) fn oldest_motion(&self) -> Age {
         let [x, y, z] = self.position_age;

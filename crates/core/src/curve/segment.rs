@@ -23,7 +23,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// A segment with c₃ rounded to the nearest value that says `shift` in its five low bits.
+    /// Returns a segment with c₃ rounded to the nearest value that says `shift` in its five low bits.
     #[must_use]
     pub const fn new(end: Position, shift: u8, coefficients: [i32; 4]) -> Self {
         let shift = shift & 31;
@@ -33,19 +33,19 @@ impl Segment {
         Self { end, shift, coefficients: [c0, c1, c2, nearest] }
     }
 
-    /// The rotation to the right that equals a shift to the left, for a value below the span.
+    /// Returns the rotation to the right that equals a shift to the left, for a value below the span.
     const fn rotation(shift: u8) -> i32 {
         // Widening; `From` is not const.
         32_i32.wrapping_sub(shift as i32) & SPAN_BITS
     }
 
-    /// The words as stored: c₃ with the shift in it.
+    /// Returns the words as stored: c₃ with the shift in it.
     const fn words(&self) -> [i32; 5] {
         let [c0, c1, c2, c3] = self.coefficients;
         [self.end.0, c0, c1, c2, (c3 & !SPAN_BITS) | Self::rotation(self.shift)]
     }
 
-    /// The largest shift whose span holds a position `reach` before the end: it loses least.
+    /// Returns the largest shift whose span holds a position `reach` before the end: it loses least.
     ///
     /// ```
     /// use trueup_core::curve::Segment;
@@ -60,7 +60,7 @@ impl Segment {
         if reach == 0 { 31 } else { reach.leading_zeros() as u8 }
     }
 
-    /// The stored form.
+    /// Returns the stored form.
     #[must_use]
     pub fn to_bytes(&self) -> [u8; SEGMENT_SIZE] {
         let mut bytes = [0; SEGMENT_SIZE];
@@ -70,7 +70,7 @@ impl Segment {
         bytes
     }
 
-    /// The segment stored in `bytes`; any bytes are one.
+    /// Returns the segment stored in `bytes`; any bytes are one.
     #[must_use]
     #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "0…31")]
     pub fn from_bytes(bytes: &[u8; SEGMENT_SIZE]) -> Self {
@@ -79,7 +79,7 @@ impl Segment {
         Self { end: Position(end), shift, coefficients: [c0, c1, c2, c3] }
     }
 
-    /// The value at `p`, meant for positions from the end to less than one span before it.
+    /// Returns the value at `p`, meant for positions from the end to less than one span before it.
     ///
     /// ```
     /// use trueup_core::{curve::Segment, units::{Fine, Position}};
@@ -95,7 +95,7 @@ impl Segment {
         horner(self.words(), p)
     }
 
-    /// Whether every position up to `reach` before the end lies in the span, with no sum of the
+    /// Returns whether every position up to `reach` before the end lies in the span, with no sum of the
     /// recurrence outside 32 bits.
     #[must_use]
     pub fn is_sound(&self, reach: u32) -> bool {
@@ -116,7 +116,7 @@ impl Segment {
     }
 }
 
-/// The five words of a stored segment.
+/// Returns the five words of a stored segment.
 #[inline]
 pub(super) fn words(bytes: &[u8; SEGMENT_SIZE]) -> [i32; 5] {
     let &[end, c0, c1, c2, c3] = bytes.as_chunks().0 else { return [0; 5] };
@@ -132,7 +132,7 @@ pub(super) const fn local(u: u32, c3: i32) -> i32 {
     (u.rotate_right(c3.cast_unsigned()) ^ 0x8000_0000).cast_signed()
 }
 
-/// The value at `p` of the segment of these words.
+/// Returns the value at `p` of the segment of these words.
 #[inline]
 pub(super) fn horner([end, c0, c1, c2, c3]: [i32; 5], p: Position) -> Fine {
     let t = local(end.wrapping_sub(p.0).cast_unsigned(), c3);

@@ -57,7 +57,7 @@ impl Spline {
         Self { knots, pieces }
     }
 
-    /// The value, held outside.
+    /// Returns the value, held outside.
     fn at(&self, p: i32) -> f64 {
         let p = p.clamp(self.knots[0], self.knots[self.pieces.len()]);
         let n = self.knots.partition_point(|knot| *knot < p).clamp(1, self.pieces.len()) - 1;
@@ -94,7 +94,7 @@ impl Spline {
     }
 }
 
-/// The index with the fewest buckets that will do.
+/// Returns the index with the fewest buckets that will do.
 fn index(first: i32, segments: &[Segment]) -> (Vec<[u8; 2]>, u8) {
     let ends: Vec<u32> = segments.iter().map(|s| s.end.0.abs_diff(first)).collect();
     let length = ends[ends.len() - 1];

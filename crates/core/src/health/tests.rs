@@ -133,7 +133,7 @@ fn the_codes_next_to_the_rails_are_a_measurement() {
     }
 }
 
-/// A number of 16 bits that looks drawn (splitmix64).
+/// Returns a number of 16 bits that looks drawn (splitmix64).
 fn drawn(number: u32) -> u32 {
     let mut z = u64::from(number).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -153,7 +153,7 @@ fn running(from_ms: u32, shakes: f64, noise: u32) -> [Code; CODES_PER_TICK] {
     })
 }
 
-/// A sensor that has been heard for half a second.
+/// Returns a sensor that has been heard for half a second.
 fn heard(noise: u32) -> Health {
     let mut health = Health::default();
     (0..500).for_each(|ms| assert!(health.check(&running(ms, 0.0, noise), true).is_some()));

@@ -166,7 +166,7 @@ impl SpeedPower {
     }
 }
 
-/// The terms of heat, which need a temperature or the heat that the speed has left.
+/// Returns the terms of heat, which need a temperature or the heat that the speed has left.
 #[must_use]
 pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
     let mut set = IndexSet::default();
@@ -181,7 +181,7 @@ pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
 }
 
 impl Effect<'_> {
-    /// What it adds to the error of its own axis, and whether that is the end of a table held.
+    /// Returns what it adds to the error of its own axis, and whether that is the end of a table held.
     pub(super) fn at(&self, own: LinearAxis, warmth: Fine, place: &Place) -> (Fine, bool) {
         let of = |axis: LinearAxis| place.of(axis);
         let reversal = || place.reversal(own);

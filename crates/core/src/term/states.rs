@@ -15,7 +15,7 @@ use crate::{
     units::{Fine, Rpm, Temperature},
 };
 
-/// What each term's lag follows; `None` without one.
+/// Returns what each term's lag follows; `None` without one.
 fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
     terms.iter().map(|term| match term.as_ref()?.effect {
         Effect::Heat { channel, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
@@ -207,7 +207,7 @@ impl TermStates {
         }
     }
 
-    /// Whether each of these has had a temperature, or knows its heat by the speed.
+    /// Returns whether each of these has had a temperature, or knows its heat by the speed.
     #[must_use]
     pub fn knows(&self, terms: IndexSet) -> bool {
         self.known.has_all(terms)
@@ -224,7 +224,7 @@ impl TermStates {
         Fine(times(self.levels.get(index).copied().unwrap_or_default(), shift(effect), x))
     }
 
-    /// What heat or time has made of term `index`; 0 for one of neither.
+    /// Returns what heat or time has made of term `index`; 0 for one of neither.
     pub(super) fn value(&self, index: usize) -> Fine {
         self.values.get(index).copied().unwrap_or_default()
     }

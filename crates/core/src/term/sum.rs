@@ -19,8 +19,9 @@ pub struct OperatingPoint {
     pub load: i32,
 }
 
-/// The elongation with its terms, each applied to what those before it have made; those by category come last, of which
-/// `states` knows all. So `terms` need not be more than those that a tick has to [walk](crate::term::walked) through.
+/// Returns the elongation with its terms, each applied to what those before it have made; those by category come last,
+/// of which `states` knows all. So `terms` need not be more than those that a tick has to [walk](crate::term::walked)
+/// through.
 #[must_use]
 #[inline]
 pub fn elongation(
@@ -68,7 +69,7 @@ fn walk(
     p
 }
 
-/// What the terms of the axes add, and whether a position is outside a table.
+/// Returns what the terms of the axes add, and whether a position is outside a table.
 #[must_use]
 pub fn axis_errors(terms: &Terms<'_>, states: &TermStates, place: &Place) -> ([Fine; 3], bool) {
     let (mut errors, mut outside) = ([Fine::ZERO; 3], false);

@@ -14,7 +14,7 @@ use crate::{
 extern crate std;
 use std::vec::Vec;
 
-/// The nearest coefficient to `value`, as the host makes it.
+/// Returns the nearest coefficient to `value`, as the host makes it.
 fn scaled(value: f64) -> Scaled {
     let mut shift = 62_u8;
     while (value * 2_f64.powi(shift.into())).abs() >= 1_073_741_823.0 {

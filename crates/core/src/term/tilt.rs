@@ -30,7 +30,7 @@ pub struct Tilt<A> {
 }
 
 impl<A> Tilt<A> {
-    /// The error at a lever of [`LEVER`] taken to the lever of `place`; saturates at ±8.388 mm.
+    /// Returns the error at a lever of [`LEVER`] taken to the lever of `place`; saturates at ±8.388 mm.
     pub(super) fn at_lever(&self, error: Fine, place: &Place) -> Fine {
         let lever = i64::from(place.of(self.lever).0).wrapping_sub(i64::from(self.origin.0));
         // At most 2³¹·(2³² − 1) + 2²⁶, below 2⁶³: neither step can wrap.

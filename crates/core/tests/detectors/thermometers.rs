@@ -39,7 +39,7 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
     }
 }
 
-/// How often a channel is bad, for `readings` readings a tenth of a second apart.
+/// Returns how often a channel is bad, for `readings` readings a tenth of a second apart.
 fn bad_readings(readings: impl Iterator<Item = f64>) -> usize {
     let mut channels = Channels::default();
     let heard = readings.map(|celsius| {
@@ -106,7 +106,7 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
     }
 }
 
-/// A PT100 that a law uses, and whose limit nobody has stated.
+/// Returns a PT100 that a law uses, and whose limit nobody has stated.
 fn default_limit() -> RateLimit {
     RateLimit::new(DEFAULT_TENTHS, Thermometer::Pt100.step(), IndexSet::default())
 }

@@ -38,7 +38,7 @@ pub fn number() -> BoxedStrategy<i32> {
     .boxed()
 }
 
-/// The same from 0.
+/// Returns the same from 0.
 pub fn size() -> BoxedStrategy<u32> {
     prop_oneof![Just(0), Just(u32::MAX), 1..3_000_u32, 1..10_000_000_u32, any::<u32>()].boxed()
 }
@@ -200,7 +200,7 @@ pub struct Machine {
     pub limits: Limits,
 }
 
-/// A term of a diagnosis, of every kind that needs no table.
+/// Returns a term of a diagnosis, of every kind that needs no table.
 fn term() -> BoxedStrategy<Term<'static>> {
     let target =
         prop_oneof![Just(Target::Elongation), select(&LinearAxis::ALL).prop_map(Target::Axis)];

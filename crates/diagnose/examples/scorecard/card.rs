@@ -12,7 +12,7 @@ pub struct Card {
 }
 
 impl Card {
-    /// The document `docs/scorecard.md`.
+    /// Returns the document `docs/scorecard.md`.
     pub fn markdown(&self) -> String {
         let mut text = String::from(
             "# Score card of `trueup diagnose`\n\nWritten by `cargo xtask scorecard`. Each draw hides \
@@ -70,7 +70,7 @@ impl Card {
         text
     }
 
-    /// All draws of all rows, in a sentence.
+    /// Returns all draws of all rows, in a sentence.
     pub fn totals(&self) -> String {
         let scores = || self.rows.iter().flat_map(|(.., row)| &row.scores);
         let draws = scores().count();
@@ -92,7 +92,7 @@ fn share_line(name: &str, runs: usize, alarms: usize) -> String {
     format!("| {name} | {runs} | {alarms} | {percent:.2} % |\n")
 }
 
-/// What was named instead, or beside: a line for each effect with anything but one right name.
+/// Returns what was named instead, or beside: a line for each effect with anything but one right name.
 fn confusion(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
     let mut text = String::new();
     for (_, name, row) in rows.iter().filter(|(_, name, _)| !name.contains('+')) {

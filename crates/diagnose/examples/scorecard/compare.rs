@@ -75,7 +75,7 @@ impl Draws {
         self.cells.entry((tier.into(), name.into())).or_default().insert(seed, draw);
     }
 
-    /// One line a draw, tabs between.
+    /// Returns one line a draw, tabs between.
     pub fn to_tsv(&self) -> String {
         let mut text = format!("{HEADER}\n");
         for ((ratio, hidden), cell) in &self.cells {

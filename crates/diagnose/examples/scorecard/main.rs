@@ -98,7 +98,7 @@ pub(crate) fn asked(words: &[String]) -> Option<Asked> {
     Some(it)
 }
 
-/// What `of` makes of each of `seeds`, in their order, on all cores.
+/// Returns what `of` makes of each of `seeds`, in their order, on all cores.
 pub(crate) fn spread_over_cores<T: Send>(
     seeds: std::ops::Range<u64>,
     of: &(dyn Fn(u64) -> T + Sync),
@@ -120,7 +120,7 @@ pub(crate) fn spread_over_cores<T: Send>(
     answers.into_iter().map(|(_, answer)| answer).collect()
 }
 
-/// The answers to `seeds`, in their order.
+/// Returns the answers to `seeds`, in their order.
 fn row(seeds: std::ops::Range<u64>, of: &(dyn Fn(u64) -> Score + Sync)) -> Row {
     Row { scores: spread_over_cores(seeds, of) }
 }

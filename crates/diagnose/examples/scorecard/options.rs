@@ -47,12 +47,12 @@ impl Options {
         Ok(it)
     }
 
-    /// The seeds, one after the other.
+    /// Returns the seeds, one after the other.
     pub fn seeds(&self) -> Range<u64> {
         self.first..self.first + self.seeds
     }
 
-    /// Whether what has this name is asked for.
+    /// Returns whether what has this name is asked for.
     pub fn wants(&self, name: &str) -> bool {
         self.names.is_empty() || self.names.iter().any(|it| it == name)
     }

@@ -86,7 +86,7 @@ fn columns(finding: &Value) -> Vec<String> {
     all.filter_map(|it| it.as_str().map(String::from)).collect()
 }
 
-/// What `program` says of the files of `challenge`.
+/// Returns what `program` says of the files of `challenge`.
 fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let put = |name: &str, text: &str| {

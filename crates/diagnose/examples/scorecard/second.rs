@@ -68,7 +68,7 @@ impl Sum {
     }
 }
 
-/// What was answered where the answer was not right.
+/// Returns what was answered where the answer was not right.
 fn others(row: &Row) -> String {
     let wrong = row.scores.iter().enumerate().filter(|(_, score)| !is_right(score));
     let named = wrong.map(|(seed, score)| {
@@ -82,7 +82,7 @@ fn others(row: &Row) -> String {
     named.collect::<Vec<String>>().join("; ")
 }
 
-/// The answers to the draws of `seeds`; the reader's complaint where the file cannot have that term.
+/// Returns the answers to the draws of `seeds`; the reader's complaint where the file cannot have that term.
 fn answers(seeds: Range<u64>, drawn: &(dyn Fn(u64) -> Challenge + Sync)) -> Result<Row, String> {
     let first = drawn(seeds.start);
     MachineFile::parse(&first.machine, Path::new("machine.toml")).map_err(|bad| bad.to_string())?;

@@ -7,7 +7,7 @@ use crate::{answer::range::extent, fit::Problem, judge::Doubt, kind::Part};
 /// Places over two periods of the shortest wave, a quarter of it apart.
 const PLACES: i32 = 9;
 
-/// What decides between the first value of `part` and its aliases, if `doubt` is of these.
+/// Returns what decides between the first value of `part` and its aliases, if `doubt` is of these.
 pub(super) fn aliases_decided(problem: &Problem, part: &Part, doubt: &Doubt) -> Option<String> {
     let Doubt::Alias(others) = doubt else { return None };
     let own = part.values[0];

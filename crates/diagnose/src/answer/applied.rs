@@ -90,7 +90,7 @@ impl Bridge {
         Ok(Self { applied, offset_um })
     }
 
-    /// The factor by which the offsets are taken out of what was measured.
+    /// Returns the factor by which the offsets are taken out of what was measured.
     pub(crate) fn factor(&self) -> f64 {
         match self.applied {
             Applied::Otherwise(factor) => factor.likely(),
@@ -98,7 +98,7 @@ impl Bridge {
         }
     }
 
-    /// What the factor leaves open of what was found.
+    /// Returns what the factor leaves open of what was found.
     pub(crate) fn open(&self, problem: &Problem, found: &Found, judged: &[Judgement]) -> Open {
         match self.applied {
             Applied::Otherwise(factor) => Open::Wrong(factor),
@@ -160,7 +160,7 @@ fn with_free_factor(problem: &Problem, model: &Model, offset: &[f64]) -> Option<
 }
 
 impl Open {
-    /// Whether the machine file is to stay as it is.
+    /// Returns whether the machine file is to stay as it is.
     pub(crate) fn forbids_writing(&self) -> bool {
         !matches!(self, Self::Nothing)
     }
@@ -194,13 +194,13 @@ impl Open {
         }
     }
 
-    /// The finding of a factor that is known and wrong; `after`: what is predicted of each row.
+    /// Returns the finding of a factor that is known and wrong; `after`: what is predicted of each row.
     pub(crate) fn finding(&self, bridge: &Bridge, data: &Data, after: &[f64]) -> Option<Finding> {
         let Self::Wrong(factor) = self else { return None };
         Some(finding(*factor, data, after, &bridge.offset_um))
     }
 
-    /// The verdict with what is open.
+    /// Returns the verdict with what is open.
     pub(crate) fn judge(
         &self,
         verdict: Verdict,
@@ -230,7 +230,7 @@ impl Open {
     }
 }
 
-/// The finding of a factor that is known.
+/// Returns the finding of a factor that is known.
 fn finding(factor: Factor, data: &Data, after: &[f64], offset_um: &[f64]) -> Finding {
     let rows = (0..data.rows).filter(|row| data.used[*row]);
     let [mut left, mut once] = [const { Vec::new() }; 2];

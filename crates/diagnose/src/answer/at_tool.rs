@@ -129,7 +129,7 @@ impl Grounds {
     }
 }
 
-/// The table of `runs`, counted from where `training` is counted from.
+/// Returns the table of `runs`, counted from where `training` is counted from.
 fn day(training: &Data, runs: &[RunFile]) -> Result<Data, BadInput> {
     let mut day = Data::new(&training.machine, runs, training.quantity)?;
     day.refer_to(training);
@@ -183,7 +183,7 @@ fn noisy(run: &RunFile, generator: &mut Generator) -> RunFile {
     })
 }
 
-/// The noise of a slow input, as a standard deviation: from fourth differences, in which a course that is
+/// Returns the noise of a slow input, as a standard deviation: from fourth differences, in which a course that is
 /// smooth over five rows leaves nothing, by their median, so that what jumps now and then does not count. At
 /// least that of its last digit (an even distribution over it).
 fn noise_of(values: &[f64]) -> f64 {

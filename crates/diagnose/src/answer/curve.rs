@@ -26,7 +26,7 @@ pub(super) struct Curve {
     pub um: Vec<f64>,
 }
 
-/// The axis that the readings are over: the own one if it moves, else the one that moves farthest.
+/// Returns the axis that the readings are over: the own one if it moves, else the one that moves farthest.
 pub(super) fn moving_axis(data: &Data) -> Option<LinearAxis> {
     let travel_mm = |axis: LinearAxis| {
         let at_mm = data.position_mm[axis.index()].iter().flat_map(|mm| mm.iter());
@@ -40,7 +40,7 @@ pub(super) fn moving_axis(data: &Data) -> Option<LinearAxis> {
     })
 }
 
-/// The curves by the machine file as it is and by the extended one, from each side that was approached
+/// Returns the curves by the machine file as it is and by the extended one, from each side that was approached
 /// from; what else was recorded stands at its median. None where that does not say all that is needed.
 pub(super) fn curves(diagnosis: &Diagnosis, axis: LinearAxis) -> [Vec<Curve>; 2] {
     let believed = diagnosis.data.machine.clone();
@@ -98,7 +98,7 @@ fn of_machine(data: &Data, machine: &Machine, axis: LinearAxis) -> Vec<Curve> {
     all
 }
 
-/// The places of the readings, rising, with points between them.
+/// Returns the places of the readings, rising, with points between them.
 fn places(position_mm: &[f64]) -> Vec<f64> {
     let mut places: Vec<f64> = position_mm.iter().copied().filter(|mm| mm.is_finite()).collect();
     places.sort_unstable_by(f64::total_cmp);
@@ -115,7 +115,7 @@ fn places(position_mm: &[f64]) -> Vec<f64> {
     all
 }
 
-/// The median of what is there.
+/// Returns the median of what is there.
 fn middle(values: &[f64]) -> f64 {
     median(&mut values.iter().copied().filter(|value| value.is_finite()).collect::<Vec<f64>>())
 }

@@ -23,7 +23,7 @@ pub(crate) fn about_zero(data: &Data, mut errors: Vec<f64>) -> Vec<f64> {
     errors
 }
 
-/// The largest of some errors.
+/// Returns the largest of some errors.
 pub(crate) fn largest(errors: &[f64]) -> f64 {
     errors.iter().fold(0.0, |most: f64, error| most.max(error.abs()))
 }

@@ -11,7 +11,7 @@ use trueup_machine::{
 use super::Diagnosis;
 use crate::{data::Data, model::Model, terms::Extended};
 
-/// The extended machine.
+/// Returns the extended machine.
 pub(crate) fn machine(diagnosis: &Diagnosis) -> Machine {
     let mut machine = diagnosis.data.machine.clone();
     for (number, term) in &diagnosis.corrected {
@@ -21,7 +21,7 @@ pub(crate) fn machine(diagnosis: &Diagnosis) -> Machine {
     machine
 }
 
-/// The machine file of `data`, extended by the terms of `model`.
+/// Returns the machine file of `data`, extended by the terms of `model`.
 pub(super) fn extended_by(data: &Data, model: &Model) -> Machine {
     let Extended { replaced, new } = Extended::by(data, model);
     let mut machine = data.machine.clone();

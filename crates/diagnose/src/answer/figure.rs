@@ -22,7 +22,7 @@ impl<'a> Points<'a> {
     }
 }
 
-/// What a colour stands for.
+/// Returns what a colour stands for.
 fn name(colour: Colour) -> &'static str {
     match colour {
         Colour::Before => "the machine file as it is",
@@ -32,7 +32,7 @@ fn name(colour: Colour) -> &'static str {
     }
 }
 
-/// A picture of `lists` over one axis; an empty text where there is nothing to be drawn.
+/// Returns a picture of `lists` over one axis; an empty text where there is nothing to be drawn.
 pub(crate) fn picture(title: &str, x_name: &str, y_name: &str, lists: &[Points<'_>]) -> String {
     let series = lists.iter().map(|list| {
         let points = list.x.iter().zip(list.y).map(|(x, y)| [*x, *y]).collect();

@@ -24,7 +24,7 @@ use crate::{
     parameters::Estimates,
 };
 
-/// The finding of a term of what was found on `problem`; `left_out`: what was left out in turn.
+/// Returns the finding of a term of what was found on `problem`; `left_out`: what was left out in turn.
 pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Finding {
     let cause = it.cause();
     let sentence = it.part.sentence();
@@ -93,7 +93,7 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
     }
 }
 
-/// The page of a dependence on a column, where the cause is one.
+/// Returns the page of a dependence on a column, where the cause is one.
 fn dependence(cause: &Kind) -> Option<&Dependence> {
     let effect = cause.cause()?;
     match effect.within().map_or(effect, |within| &within.effect) {
@@ -102,14 +102,14 @@ fn dependence(cause: &Kind) -> Option<&Dependence> {
     }
 }
 
-/// The range in which a cause acts.
+/// Returns the range in which a cause acts.
 fn within((it, ci95): (&Within, [f64; 2])) -> Range {
     let bound = |side| (it.side == side).then_some(it.bound);
     let (above, below) = (bound(Side::Above), bound(Side::Below));
     Range { column: it.column.clone(), above, below, ci95 }
 }
 
-/// The two columns of a difference or a product.
+/// Returns the two columns of a difference or a product.
 fn columns(page: &Dependence) -> Option<[String; 2]> {
     let second = page.minus.as_deref().or(page.times.column());
     second.map(|second| [page.column.clone(), second.to_string()])
@@ -190,8 +190,8 @@ impl Finding {
     }
 }
 
-/// Whether two values differ by more than the standard error of the first, of which `ci95` is the interval; without
-/// one, whether they differ. Lists do where one of their values does.
+/// Returns whether two values differ by more than the standard error of the first, of which `ci95` is the interval;
+/// without one, whether they differ. Lists do where one of their values does.
 fn is_apart(own: &Value, written: &Value, ci95: Option<&Value>) -> bool {
     /// An interval of 95 % has so many standard errors (a normal distribution).
     const STANDARD_ERRORS: f64 = 3.92;
@@ -240,12 +240,12 @@ fn changed(part: &Part) -> Option<String> {
     })
 }
 
-/// A number in its first five digits.
+/// Returns a number in its first five digits.
 fn five_digits(number: f64) -> String {
     format!("{number:.4e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
-/// A cause with the column that it hangs on.
+/// Returns a cause with the column that it hangs on.
 fn named(cause: &Kind) -> String {
     match cause.column() {
         Some(column) => format!("{} of {column}", cause.name()),
@@ -253,7 +253,7 @@ fn named(cause: &Kind) -> String {
     }
 }
 
-/// The name of the rival that cannot be told from the cause.
+/// Returns the name of the rival that cannot be told from the cause.
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
         Doubt::Rival(rival) => Some(rival.name()),
@@ -262,7 +262,7 @@ fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     })
 }
 
-/// A doubt in a sentence.
+/// Returns a doubt in a sentence.
 fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     match doubt {
         Doubt::Rival(rival) => format!("{} explains these data as well.", named(rival)),
@@ -349,14 +349,14 @@ fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
     }
 }
 
-/// The rows that are `aside`, as users count them.
+/// Returns the rows that are `aside`, as users count them.
 fn rows_aside(aside: &[bool]) -> String {
     let rows = aside.iter().enumerate().filter(|(_, aside)| **aside);
     let rows: Vec<String> = rows.take(12).map(|(row, _)| (row + 1).to_string()).collect();
     format!("{} {}", if rows.len() == 1 { "row" } else { "rows" }, rows.join(", "))
 }
 
-/// What is told of rows that were set aside and are not claimed to be wrong; none where there are none.
+/// Returns what is told of rows that were set aside and are not claimed to be wrong; none where there are none.
 pub(crate) fn not_claimed(aside: &[bool], known: Aside) -> Option<String> {
     let why = match known {
         Aside::Wrong => return None,
@@ -370,7 +370,7 @@ pub(crate) fn not_claimed(aside: &[bool], known: Aside) -> Option<String> {
     aside.contains(&true).then(|| format!("Set aside: {}, {why}", rows_aside(aside)))
 }
 
-/// The finding of rows that were set aside.
+/// Returns the finding of rows that were set aside.
 pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
     let with = errors(data, after, None);
     let without = errors(data, after, Some(aside));

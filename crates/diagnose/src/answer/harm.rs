@@ -4,7 +4,7 @@ use trueup_numerics::blocks::rms;
 
 use crate::{answer::errors::about_zero, fit::Problem, model::Model};
 
-/// Whether the rows that were fitted are left worse.
+/// Returns whether the rows that were fitted are left worse.
 pub(super) fn is_worse(on: &Problem, model: &Model) -> bool {
     /// They are never left worse than this times what the machine file as it is leaves.
     const NEVER_WORSE: f64 = 1.01;

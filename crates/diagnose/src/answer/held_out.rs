@@ -123,7 +123,7 @@ impl LeftOutParts<'_> {
             .collect()
     }
 
-    /// Whether the inputs from a group on lie within those of the groups before.
+    /// Returns whether the inputs from a group on lie within those of the groups before.
     fn is_within(&self, first: usize) -> bool {
         inputs(&self.problem.data).chain([SAID.into()]).all(|name| {
             named(&self.problem.data, &name).is_none_or(|values| {
@@ -172,7 +172,7 @@ impl Sums {
         Self { before, after, shifts }
     }
 
-    /// The mean squares, without `noise` (of a mean square in µm² that both hold).
+    /// Returns the mean squares, without `noise` (of a mean square in µm² that both hold).
     fn means(&self, noise: f64) -> [f64; 2] {
         let count = self.before.len() as f64;
         [&self.before, &self.after]
@@ -185,7 +185,7 @@ impl Sums {
         (before > 0.0).then(|| after / before)
     }
 
-    /// The largest ρ of two parts.
+    /// Returns the largest ρ of two parts.
     fn worst_pair(&self, noise: f64) -> f64 {
         let parts = self.before.iter().zip(&self.after).enumerate();
         let pairs = parts.flat_map(|(n, one)| {
@@ -250,7 +250,7 @@ fn with_zero_again(mut um: Vec<f64>, parts: &[usize]) -> Vec<f64> {
     um
 }
 
-/// The range of each recorded input.
+/// Returns the range of each recorded input.
 pub(super) fn ranges(data: &Data) -> BTreeMap<String, [f64; 2]> {
     inputs(data)
         .filter_map(|name| {

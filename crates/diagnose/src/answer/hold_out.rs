@@ -35,14 +35,14 @@ impl HoldOut<'_> {
     }
 }
 
-/// The columns that `term` needs beyond those of `machine`.
+/// Returns the columns that `term` needs beyond those of `machine`.
 fn columns_of(machine: &Machine, term: &Term) -> Vec<String> {
     let own = required_columns(machine);
     let with = Machine { terms: vec![term.clone()], ..machine.clone() };
     required_columns(&with).into_iter().filter(|column| !own.contains(column)).collect()
 }
 
-/// The hold-outs whose every row is a row of the runs, whatever their files are called: a sentence each.
+/// Returns the hold-outs whose every row is a row of the runs, whatever their files are called: a sentence each.
 pub(crate) fn seen_before(runs: &[RunFile], files: &[RunFile]) -> Vec<String> {
     let is_seen = |file: &&RunFile| runs.iter().any(|run| has_all_rows(run, file));
     let told = |file: &RunFile| {
@@ -54,7 +54,7 @@ pub(crate) fn seen_before(runs: &[RunFile], files: &[RunFile]) -> Vec<String> {
     files.iter().filter(is_seen).map(told).collect()
 }
 
-/// Whether each row of `file` is in `run`: the same values in the columns that both have.
+/// Returns whether each row of `file` is in `run`: the same values in the columns that both have.
 fn has_all_rows(run: &RunFile, file: &RunFile) -> bool {
     let columns = file.columns().iter();
     let both: Vec<(&[f64], &[f64])> = columns

@@ -121,7 +121,7 @@ fn sentence_case(text: &str) -> String {
     letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
 }
 
-/// What the tool may expect, in a sentence: the noise of the gauge is none of it.
+/// Returns what the tool may expect, in a sentence: the noise of the gauge is none of it.
 fn promise(report: &Report) -> String {
     let at_tool = &report.at_tool;
     let readings = report.held_out.as_ref().map_or(String::new(), |it| {
@@ -136,7 +136,7 @@ fn promise(report: &Report) -> String {
     )
 }
 
-/// What the noise of a reading is known from: repeats measure it, a row and its neighbour only bound it.
+/// Returns what the noise of a reading is known from: repeats measure it, a row and its neighbour only bound it.
 fn noise_sentence(diagnosis: &Diagnosis) -> String {
     let um = micrometres(diagnosis.report.noise_um);
     if diagnosis.noise_is_measured {
@@ -183,7 +183,7 @@ fn verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
     }
 }
 
-/// The verdict as a heading.
+/// Returns the verdict as a heading.
 fn headline(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Clean => "The machine does what its file says",
@@ -217,7 +217,7 @@ fn list(sentences: &[String], out: &mut String) {
     out.push_str("</ul>\n");
 }
 
-/// The verdict in a sentence.
+/// Returns the verdict in a sentence.
 pub(crate) fn verdict_sentence(diagnosis: &Diagnosis) -> String {
     let report = &diagnosis.report;
     let causes: Vec<&str> = report.findings.iter().map(|it| it.cause.as_str()).collect();
@@ -267,7 +267,7 @@ fn clean_sentence(report: &Report) -> String {
     format!("Nothing is left but noise{wandering}. {found} The machine file stays.")
 }
 
-/// A value of a cause for people: numbers in three digits, a list or a table as lines that wrap.
+/// Returns a value of a cause for people: numbers in three digits, a list or a table as lines that wrap.
 fn readable(value: &serde_json::Value) -> String {
     use serde_json::Value;
     match value {

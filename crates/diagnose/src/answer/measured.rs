@@ -27,7 +27,7 @@ const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
 const LEAST_UM: f64 = 1.0;
 
-/// The values of a machine file that no machine can have.
+/// Returns the values of a machine file that no machine can have.
 fn impossible(machine: &Machine) -> Vec<Finding> {
     let findings = check::ranges(machine).into_iter();
     findings.filter(|it| it.grade == Grade::Impossible).collect()
@@ -74,7 +74,7 @@ impl<'m> Measured<'m> {
         }
     }
 
-    /// The first term that is more than what was measured lets it be, and why.
+    /// Returns the first term that is more than what was measured lets it be, and why.
     pub(super) fn violated(&self, problem: &Problem, model: &Model) -> Option<(Kind, NotWritten)> {
         let largest = model
             .parts
@@ -97,8 +97,8 @@ impl<'m> Measured<'m> {
         self.outside(&machine).map(|why| (kind, why))
     }
 
-    /// What a term does in the rows, at the most; of one that rises from a start on all that it rises by. A gain and a
-    /// bend of a source are one characteristic, and count together.
+    /// Returns what a term does in the rows, at the most; of one that rises from a start on all that it rises by. A
+    /// gain and a bend of a source are one characteristic, and count together.
     fn size_um(&self, problem: &Problem, model: &Model, kind: &Kind) -> f64 {
         let is_bent = |there: &Kind| matches!(there.stage(), Stage::Factor | Stage::Bend);
         let is_of_it = |there: &Kind| there == kind || is_bent(there) && is_bent(kind);
@@ -117,8 +117,8 @@ impl<'m> Measured<'m> {
         in_rows.max(risen)
     }
 
-    /// The state in which the machine is farthest outside what was measured, if beyond the margin, and farther than
-    /// the machine file is already.
+    /// Returns the state in which the machine is farthest outside what was measured, if beyond the margin, and farther
+    /// than the machine file is already.
     fn outside(&self, extended: &Machine) -> Option<NotWritten> {
         let number = Quantity::ALL.iter().position(|it| *it == self.quantity)?;
         let believed = states(self.machine, &self.ranges);

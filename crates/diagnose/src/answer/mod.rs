@@ -344,7 +344,7 @@ pub(crate) fn conclude(
     Ok(diagnosis)
 }
 
-/// The model as it is handed out: terms that are not kept leave, and the others are fitted again
+/// Returns the model as it is handed out: terms that are not kept leave, and the others are fitted again
 /// without them; but what is of this record alone is left out only then, for beside it the others are right.
 fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
     let model = &found.fitted.model;
@@ -391,7 +391,7 @@ fn without_all<'c>(
     if kept.parts.is_empty() { Model::default() } else { kept }
 }
 
-/// The model as the board runs it: without what only happened once, and what is not the machine's; and it
+/// Returns the model as the board runs it: without what only happened once, and what is not the machine's; and it
 /// is not told the feed.
 fn compensated(model: &Model) -> Model {
     let mut compensated = model.clone();
@@ -400,7 +400,7 @@ fn compensated(model: &Model) -> Model {
     if compensated.parts.is_empty() { Model::default() } else { compensated }
 }
 
-/// The model without what time alone or the instrument explains.
+/// Returns the model without what time alone or the instrument explains.
 fn lasting(model: &Model) -> Model {
     let parts: Vec<Part> =
         model.parts.iter().filter(|part| part.kind.tier() <= OF_THE_MACHINE).cloned().collect();
@@ -413,7 +413,7 @@ const MORE_LEFT: f64 = 1.5;
 /// The highest tier of what is of the machine, or of what else was recorded ([`Kind::tier`]).
 const OF_THE_MACHINE: u8 = 1;
 
-/// The noise of one reading, in µm: from repeats where there are any, else from what differs between
+/// Returns the noise of one reading, in µm: from repeats where there are any, else from what differs between
 /// neighbours in `errors`, with the memory of the noise taken into account.
 fn noise_um(problem: &Problem, found: &Found, errors: &[f64], repeats: Option<&Repeats>) -> f64 {
     if let Some(repeats) = repeats {
@@ -428,8 +428,8 @@ fn noise_um(problem: &Problem, found: &Found, errors: &[f64], repeats: Option<&R
     (rms(&differences) / (2.0 * (1.0 - next)).sqrt()).min(rms(errors))
 }
 
-/// The part of `noise_um` that is surely the gauge's: it was seen at repeats, or from reading to reading while next to
-/// nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
+/// Returns the part of `noise_um` that is surely the gauge's: it was seen at repeats, or from reading to reading while
+/// next to nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
 fn noise_of_gauge_um(data: &Data, problem: &Problem, noise_um: f64, is_repeated: bool) -> f64 {
     let moves = data.own_position().is_some_and(|mm| spread(mm) > 0.0);
     let stated_um = data.machine.instrument_um.map(|um| 0.5 * um);

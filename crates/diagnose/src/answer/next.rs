@@ -33,7 +33,7 @@ pub(super) fn next(problem: &Problem, part: &Part, asked: String) -> String {
         .into()
 }
 
-/// Whether the runs are what `asked` asks for, by the words of the pages.
+/// Returns whether the runs are what `asked` asks for, by the words of the pages.
 fn has(problem: &Problem, part: &Part, asked: &str) -> bool {
     let data = &problem.data;
     let column = part.kind.column();
@@ -70,7 +70,7 @@ fn approached_often(data: &Data) -> bool {
     read.values().filter(often).count() >= PLACES
 }
 
-/// The temperatures that matter: that of the term, else all.
+/// Returns the temperatures that matter: that of the term, else all.
 fn temperatures<'d>(
     data: &'d Data,
     column: Option<&'d str>,
@@ -80,7 +80,7 @@ fn temperatures<'d>(
     all.map(|(_, values)| filled(values))
 }
 
-/// Whether a temperature rises, and falls, by more than half of its range of at least 5 K.
+/// Returns whether a temperature rises, and falls, by more than half of its range of at least 5 K.
 fn rises_and_falls(data: &Data, column: Option<&str>) -> bool {
     temperatures(data, column).any(|values| {
         let rise = largest_rise(values.iter().copied());
@@ -90,7 +90,7 @@ fn rises_and_falls(data: &Data, column: Option<&str>) -> bool {
     })
 }
 
-/// Whether the axis was at both ends, each at temperatures at least 5 K apart.
+/// Returns whether the axis was at both ends, each at temperatures at least 5 K apart.
 fn both_ends_at_two_temperatures(data: &Data, column: Option<&str>) -> bool {
     let Some(own) = data.own_position() else { return false };
     let [low, high] = extent(own.iter().copied());
@@ -107,7 +107,7 @@ fn both_ends_at_two_temperatures(data: &Data, column: Option<&str>) -> bool {
     })
 }
 
-/// Whether a speed goes up, and down, by more than half of its range from one row to the next, twice at
+/// Returns whether a speed goes up, and down, by more than half of its range from one row to the next, twice at
 /// least.
 fn changes_quickly(speed_rpm: &[f64]) -> bool {
     let speed_rpm = filled(speed_rpm);

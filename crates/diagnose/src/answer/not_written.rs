@@ -20,7 +20,7 @@ pub(crate) enum NotWritten {
 }
 
 impl NotWritten {
-    /// Whether the record does not separate the term from what takes it back.
+    /// Returns whether the record does not separate the term from what takes it back.
     pub(crate) fn is_inseparable(&self) -> bool {
         !matches!(self, Self::HeldUp | Self::NoGain | Self::ForesawLess)
     }

@@ -8,8 +8,8 @@ use crate::{data::Data, model::Model};
 /// differs by nanometres.
 const LONGEST_S: f64 = 5e6;
 
-/// What the board leaves with `machine` in the rows that count, in µm; `model` is what it runs, for a record that
-/// the board's arithmetic cannot be stepped through.
+/// Returns what the board leaves with `machine` in the rows that count, in µm; `model` is what it runs, for a record
+/// that the board's arithmetic cannot be stepped through.
 pub(super) fn left_on_board(
     data: &Data,
     runs: &[RunFile],
@@ -25,7 +25,7 @@ pub(super) fn left_on_board(
         .collect()
 }
 
-/// The board's prediction of each row; `None` where there is none: the file does not say how the sensor is
+/// Returns the board's prediction of each row; `None` where there is none: the file does not say how the sensor is
 /// connected, or the record is too long.
 fn by_board(data: &Data, runs: &[RunFile], machine: &Machine) -> Option<Vec<f64>> {
     let length_s = |run: &RunFile| {

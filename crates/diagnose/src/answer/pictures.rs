@@ -89,7 +89,7 @@ enum Over {
 }
 
 impl Over {
-    /// The position where the axis was driven from place to place, else time, else the rows.
+    /// Returns the position where the axis was driven from place to place, else time, else the rows.
     fn of(data: &Data) -> Self {
         let is_driven = data.run.is_some() || data.time_s.is_none();
         match (moving_axis(data).filter(|_| is_driven), &data.time_s) {

@@ -126,12 +126,12 @@ impl Power {
     }
 }
 
-/// One over the other; 1 where both are nothing.
+/// Returns one over the other; 1 where both are nothing.
 fn ratio(size: f64, noise: f64) -> f64 {
     if size == noise { 1.0 } else { size / noise }
 }
 
-/// Whether `left_um` RMS in so many rows is no more than noise of the standard deviation `noise_um`
+/// Returns whether `left_um` RMS in so many rows is no more than noise of the standard deviation `noise_um`
 /// leaves in 95 of 100 cases (χ², by the cube root of Wilson and Hilferty 1931).
 fn is_as_small(left_um: f64, noise_um: f64, rows: f64, freedom: f64) -> bool {
     if freedom < 1.0 {
@@ -177,7 +177,7 @@ impl Needed {
     }
 }
 
-/// The fewest rows, at least 3, that are enough; none where a million are not.
+/// Returns the fewest rows, at least 3, that are enough; none where a million are not.
 fn fewest(is_found: &dyn Fn(f64) -> bool) -> Option<usize> {
     let (mut low, mut high) = (2, 3);
     while !is_found(high as f64) {

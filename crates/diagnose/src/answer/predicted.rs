@@ -43,7 +43,7 @@ pub(super) struct Choice {
     pub is_predicted: bool,
 }
 
-/// Whether the claimed terms are all there is: nothing that is left goes with anything, or wanders.
+/// Returns whether the claimed terms are all there is: nothing that is left goes with anything, or wanders.
 pub(super) fn is_settled(found: &Found, judged: &[Judgement], wanders: bool) -> bool {
     found.lack_of_fit.is_empty() && judged.iter().all(|it| it.doubts.is_empty()) && !wanders
 }
@@ -119,7 +119,7 @@ impl Written {
     }
 }
 
-/// The findings of terms that were chosen for prediction and are not among the named ones.
+/// Returns the findings of terms that were chosen for prediction and are not among the named ones.
 pub(super) fn findings(
     problem: &Problem,
     written: &Written,

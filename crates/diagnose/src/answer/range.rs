@@ -1,6 +1,6 @@
 //! How far the values of a column go.
 
-/// The largest rise from a value to a later one.
+/// Returns the largest rise from a value to a later one.
 pub(super) fn largest_rise(values: impl Iterator<Item = f64>) -> f64 {
     let (mut low, mut most) = (f64::INFINITY, 0.0_f64);
     for value in values {
@@ -10,7 +10,7 @@ pub(super) fn largest_rise(values: impl Iterator<Item = f64>) -> f64 {
     most
 }
 
-/// The smallest and the largest of the values that are there.
+/// Returns the smallest and the largest of the values that are there.
 pub(super) fn extent(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values
         .filter(|value| value.is_finite())

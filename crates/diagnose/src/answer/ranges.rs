@@ -9,7 +9,7 @@ use crate::{answer::range::extent, data::Data};
 /// The least time over which a change of temperature is looked at, and the least that a ramp takes, in s.
 const WINDOW_S: f64 = 600.0;
 
-/// What was recorded of each input; of one that was not, 0.
+/// Returns what was recorded of each input; of one that was not, 0.
 pub(super) fn recorded(data: &Data, runs: &[RunFile]) -> InputRanges {
     let temperatures = data.temperatures.iter().map(|(name, values)| (name.clone(), known(values)));
     let temperatures_c: BTreeMap<String, [f64; 2]> = temperatures.collect();
@@ -35,7 +35,7 @@ fn known(values: &[f64]) -> [f64; 2] {
     if range[0] <= range[1] { range } else { [0.0; 2] }
 }
 
-/// How long a temperature takes over its range where it changes fastest, in s; `None` where nothing is known.
+/// Returns how long a temperature takes over its range where it changes fastest, in s; `None` where nothing is known.
 fn ramp_s(data: &Data, values: &[f64]) -> Option<f64> {
     let time_s = data.time_s.as_deref()?;
     let [low, high] = known(values);

@@ -233,7 +233,7 @@ impl Verdict {
         }
     }
 
-    /// Whether all that was found is noise or explained.
+    /// Returns whether all that was found is noise or explained.
     #[must_use]
     pub fn is_met(self) -> bool {
         matches!(self, Self::Clean | Self::Explained)

@@ -76,7 +76,7 @@ mod tests {
 
     use super::*;
 
-    /// A creep of 15 µm over `rows` rows of 60 s, from 3000 s on.
+    /// Returns a creep of 15 µm over `rows` rows of 60 s, from 3000 s on.
     fn creep(rows: usize) -> Option<f64> {
         let mut noise = Generator::new(4);
         let share = |row: usize| ((row as f64 - 50.0) / rows as f64).clamp(0.0, 1.0);

@@ -113,13 +113,13 @@ impl Transfer {
         Self { model: kept, dropped, is_disproved, before_um, found_um, places }
     }
 
-    /// Whether the hold-out is worse with the terms that are handed out, by however little.
+    /// Returns whether the hold-out is worse with the terms that are handed out, by however little.
     pub(super) fn is_worse(&self) -> bool {
         self.dropped.is_empty() && self.found_um > ROUNDING * self.before_um
     }
 }
 
-/// The causes of the parts whose bits are in `set`.
+/// Returns the causes of the parts whose bits are in `set`.
 fn in_set(model: &Model, set: u32) -> impl Iterator<Item = &Kind> {
     let parts = model.parts.iter().enumerate();
     parts.filter(move |(number, _)| set & (1 << number) != 0).map(|(_, part)| &part.kind)

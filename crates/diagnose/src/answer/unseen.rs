@@ -20,7 +20,7 @@ pub(super) struct Unseen<'u> {
 }
 
 impl Unseen<'_> {
-    /// What the machine file as it is leaves: RMS, in µm.
+    /// Returns what the machine file as it is leaves: RMS, in µm.
     pub(super) fn before_um(&self) -> f64 {
         let on_blocks = || {
             let zero = start(&self.problem.data);
@@ -32,7 +32,7 @@ impl Unseen<'_> {
         self.test.map_or_else(on_blocks, |test| on_hold_out(test, &Model::default()))
     }
 
-    /// What `model` leaves; without terms it is the machine file as it is.
+    /// Returns what `model` leaves; without terms it is the machine file as it is.
     pub(super) fn after_um(&self, model: &Model) -> f64 {
         if model.parts.is_empty() {
             return self.before_um();
@@ -46,7 +46,7 @@ impl Unseen<'_> {
     }
 }
 
-/// What `model` leaves on a hold-out: RMS, in µm.
+/// Returns what `model` leaves on a hold-out: RMS, in µm.
 pub(super) fn on_hold_out(test: &Data, model: &Model) -> f64 {
     rms(&errors(test, &model.predict(test), None))
 }

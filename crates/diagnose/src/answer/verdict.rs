@@ -168,7 +168,7 @@ pub(super) struct Grounds<'g> {
     pub is_withheld: bool,
 }
 
-/// The verdict on an answer, and why.
+/// Returns the verdict on an answer, and why.
 pub(super) fn verdict(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     let (verdict, mut reasons) = of_runs(grounds);
     reasons.extend(grounds.wandering.cloned().map(Reason::Wanders));
@@ -195,7 +195,7 @@ pub(super) fn verdict(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     (verdict, reasons)
 }
 
-/// The verdict by the runs alone.
+/// Returns the verdict by the runs alone.
 fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     let Grounds { found, judged, .. } = *grounds;
     let mut reasons: Vec<Reason> =
@@ -234,7 +234,7 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     }
 }
 
-/// The verdict where no cause was found.
+/// Returns the verdict where no cause was found.
 fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict, Vec<Reason>) {
     let power = grounds.power;
     let does_not_repeat =
@@ -257,14 +257,14 @@ fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict
 }
 
 impl Grounds<'_> {
-    /// Whether what wanders is larger than what differs from reading to reading, where nobody says what the instrument is
-    /// worth: the noise of an instrument is that between neighbours, and what is slower is structure.
+    /// Returns whether what wanders is larger than what differs from reading to reading, where nobody says what the
+    /// instrument is worth: the noise of an instrument is that between neighbours, and what is slower is structure.
     fn wanders_beyond_neighbours(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
         self.instrument_um.is_none() && wandering > SLOWER * self.between_neighbours_um
     }
 
-    /// Whether what wanders is larger than what the instrument is worth: then it is the machine that does.
+    /// Returns whether what wanders is larger than what the instrument is worth: then it is the machine that does.
     fn wanders_beyond_instrument(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
         self.instrument_um.is_some_and(|instrument_um| wandering > instrument_um)

@@ -37,14 +37,14 @@ impl Wandering {
     }
 }
 
-/// Whether what `found` leaves wanders: its memory leaves less than half of the rows independent, so that
+/// Returns whether what `found` leaves wanders: its memory leaves less than half of the rows independent, so that
 /// neighbours say more about a row than its own reading does.
 pub(super) fn wanders(problem: &Problem, found: &Found) -> bool {
     let independent = noise::effective_rows(found.noise, &problem.groups.steps);
     independent <= 0.5 * problem.groups.len() as f64
 }
 
-/// What moves machines slowly and is no column of these runs.
+/// Returns what moves machines slowly and is no column of these runs.
 fn not_recorded(data: &Data) -> Vec<&'static str> {
     let all = data.temperatures.iter().chain(&data.others);
     let names: Vec<String> = all.map(|(name, _)| name.to_lowercase()).collect();

@@ -15,8 +15,8 @@ use crate::{
 /// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
 const BEYOND: f64 = 0.1;
 
-/// The stretch in which `worse` (µm² of each row) is the most, and the columns that do there what they never did in the
-/// runs: a sentence each.
+/// Returns the stretch in which `worse` (µm² of each row) is the most, and the columns that do there what they never
+/// did in the runs: a sentence each.
 pub(super) fn where_it_is_worse(
     training: &Data,
     hold_out: &HoldOut<'_>,
@@ -38,7 +38,7 @@ pub(super) fn where_it_is_worse(
     said
 }
 
-/// What `after` leaves more of the squares than `share` of what `before` leaves, in each row of `test`, in µm².
+/// Returns what `after` leaves more of the squares than `share` of what `before` leaves, in each row of `test`, in µm².
 pub(super) fn excess(test: &Data, [before, after]: [&[f64]; 2], share: f64) -> Vec<f64> {
     (0..test.rows)
         .map(|row| {
@@ -50,7 +50,7 @@ pub(super) fn excess(test: &Data, [before, after]: [&[f64]; 2], share: f64) -> V
         .collect()
 }
 
-/// The rows of the stretch, as the user counts them.
+/// Returns the rows of the stretch, as the user counts them.
 fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> String {
     let file = test.file[first];
     let start = test.file.partition_point(|&there| there < file);
@@ -64,7 +64,7 @@ fn stretch(test: &Data, hold_out: &HoldOut<'_>, first: usize, last: usize) -> St
     }
 }
 
-/// What `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.
+/// Returns what `column` does `here`, in the rows `first` to `last`, and nowhere in the `runs`.
 fn different(
     column: &str,
     runs: &[f64],
@@ -98,7 +98,7 @@ fn different(
     })
 }
 
-/// The first and last of the consecutive values whose sum is the largest; none where no value is above
+/// Returns the first and last of the consecutive values whose sum is the largest; none where no value is above
 /// 0.
 fn largest_sum(values: &[f64]) -> Option<(usize, usize)> {
     let mut best = (0.0, None);

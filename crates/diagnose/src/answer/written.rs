@@ -81,7 +81,7 @@ impl Written {
         (self.board, self.explains) = (Model::default(), Model::default());
     }
 
-    /// The problem that the board's terms are fitted to.
+    /// Returns the problem that the board's terms are fitted to.
     pub(crate) fn problem<'p>(&'p self, problem: &'p Problem) -> &'p Problem {
         self.own.as_ref().unwrap_or(problem)
     }
@@ -133,7 +133,7 @@ impl Written {
         }
     }
 
-    /// The board's terms without one, fitted again.
+    /// Returns the board's terms without one, fitted again.
     fn without(&self, on: &Problem, kind: &Kind) -> Model {
         let rest = without_all(on, &self.board, std::iter::once(kind));
         if rest.parts.is_empty() { rest } else { fit(on, &rest, None).model }
@@ -197,7 +197,7 @@ impl Written {
         }
     }
 
-    /// What of `joint` only explains, fitted to what the board's terms leave.
+    /// Returns what of `joint` only explains, fitted to what the board's terms leave.
     fn explained(&self, problem: &Problem, joint: &Model) -> Model {
         let mut model = Model {
             parts: joint.parts.iter().filter(|it| !it.kind.is_compensated()).cloned().collect(),
@@ -234,7 +234,7 @@ impl Written {
         self.left.extend(dropped.into_iter().map(|kind| (kind, NotWritten::HeldUp)));
     }
 
-    /// What `compensated`, as the board runs it, leaves on data that were not used for the fit.
+    /// Returns what `compensated`, as the board runs it, leaves on data that were not used for the fit.
     pub(super) fn unseen_um(
         &self,
         unseen: &Unseen<'_>,
@@ -251,8 +251,8 @@ impl Written {
         unseen.after_um(compensated)
     }
 
-    /// The mean square of what the machine does that `model` explains and the board does not run, in µm²: a drift and
-    /// a jump come again; an error of the instrument or of a clock is not at the tool.
+    /// Returns the mean square of what the machine does that `model` explains and the board does not run, in µm²: a
+    /// drift and a jump come again; an error of the instrument or of a clock is not at the tool.
     pub(super) fn not_run(&self, data: &Data, model: &Model) -> f64 {
         let is_of_machine = |kind: &Kind| !kind.is_of_instrument() && !kind.is_shift();
         let of_machine = |kind: &Kind| kind.is_compensated() || is_of_machine(kind);
@@ -267,7 +267,7 @@ impl Written {
         rms(&about_zero(data, apart)).powi(2)
     }
 
-    /// The values in the file of a term, by name, with their intervals; `None`: it is not written.
+    /// Returns the values in the file of a term, by name, with their intervals; `None`: it is not written.
     pub(crate) fn estimates(&self, problem: &Problem, kind: &Kind) -> Option<Estimates> {
         let (on, model) = if self.board.has(kind) {
             (self.problem(problem), &self.board)
@@ -280,25 +280,25 @@ impl Written {
     }
 }
 
-/// The parts that the board runs. Without one the machine file stays, and with it its zero.
+/// Returns the parts that the board runs. Without one the machine file stays, and with it its zero.
 fn run_by_board(model: &Model) -> Model {
     let parts: Vec<_> =
         model.parts.iter().filter(|part| part.kind.is_compensated()).cloned().collect();
     if parts.is_empty() { Model::default() } else { Model { parts, ..model.clone() } }
 }
 
-/// The kinds of the parts that are so.
+/// Returns the kinds of the parts that are so.
 fn kinds(model: &Model, is_so: impl Fn(&Kind) -> bool) -> Vec<Kind> {
     model.parts.iter().map(|part| &part.kind).filter(|kind| is_so(kind)).cloned().collect()
 }
 
-/// The problem without the terms of the machine file that the board does not run; `None`: there are none.
+/// Returns the problem without the terms of the machine file that the board does not run; `None`: there are none.
 fn without_what_is_not_run(problem: &Problem) -> Option<Problem> {
     let data = problem.data.compensated()?;
     Some(Problem::new(Arc::new(data), problem.groups.clone()))
 }
 
-/// What `model` leaves, as it stands.
+/// Returns what `model` leaves, as it stands.
 fn fitted(problem: &Problem, model: &Model) -> Fitted {
     let residual = problem.residual(model);
     let sum = residual.iter().map(|r| r * r).sum();
@@ -306,7 +306,7 @@ fn fitted(problem: &Problem, model: &Model) -> Fitted {
     Fitted { model: model.clone(), residual, sum, degrees }
 }
 
-/// The fit of a model to all readings but a few that are far from the rest: what explained them has left.
+/// Returns the fit of a model to all readings but a few that are far from the rest: what explained them has left.
 fn fit_of_most(problem: &Problem, model: &Model) -> Model {
     let first = fit(problem, model, None);
     if problem.groups.size > 1 {
@@ -322,14 +322,14 @@ fn fit_of_most(problem: &Problem, model: &Model) -> Model {
     fit(problem, &first.model, Some(&mask)).model
 }
 
-/// The standard deviation of sizes whose few largest do not count.
+/// Returns the standard deviation of sizes whose few largest do not count.
 fn deviation(sizes: &mut [f64]) -> f64 {
     /// A normal distribution's median of sizes, in standard deviations.
     const MEDIAN: f64 = 0.674_489_750_196_082;
     median(sizes) / MEDIAN
 }
 
-/// How large residuals mostly are.
+/// Returns how large residuals mostly are.
 fn typical(residual: &[f64]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     deviation(&mut sizes).min(rms(residual))

@@ -146,7 +146,7 @@ pub(super) fn set_aside(data: &mut Data, runs: &[&RunFile]) {
     });
 }
 
-/// The stretches of a file between jumps at these rows that are not at the level of the longest, each
+/// Returns the stretches of a file between jumps at these rows that are not at the level of the longest, each
 /// with how much higher it is. Nobody knows whether the thermometer is still at its place there: they do
 /// not count, and are moved to that level only for what has a memory.
 fn other_levels(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
@@ -167,7 +167,7 @@ fn other_levels(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize
     relative.filter(|(_, by)| by.abs() > SAME_LEVEL * largest).collect()
 }
 
-/// The columns that are another one, or what was measured, with its name.
+/// Returns the columns that are another one, or what was measured, with its name.
 fn copies(data: &Data) -> Vec<(String, String)> {
     let needed = required_columns(&data.machine);
     let all: Vec<&Column> = data.temperatures.iter().chain(&data.others).collect();
@@ -191,7 +191,7 @@ fn copies(data: &Data) -> Vec<(String, String)> {
     copies
 }
 
-/// Whether two columns are one: equal wherever both are there, through many changes.
+/// Returns whether two columns are one: equal wherever both are there, through many changes.
 fn is_copy(values: &[f64], others: &[f64]) -> bool {
     let mut changes = 0;
     let mut before = f64::NAN;
@@ -208,13 +208,13 @@ fn is_copy(values: &[f64], others: &[f64]) -> bool {
     changes >= SHARED_CHANGES
 }
 
-/// The name of the file of a row, for a note.
+/// Returns the name of the file of a row, for a note.
 fn place(data: &Data, row: usize) -> String {
     let name = data.file.get(row).and_then(|&file| data.names.get(file as usize));
     name.map_or(String::new(), |name| format!("{name}: "))
 }
 
-/// The rows of each file.
+/// Returns the rows of each file.
 fn files(data: &Data) -> Vec<Range<usize>> {
     let mut files: Vec<Range<usize>> = vec![0..0; data.files];
     for (row, &file) in data.file.iter().enumerate() {
@@ -227,7 +227,7 @@ fn files(data: &Data) -> Vec<Range<usize>> {
     files
 }
 
-/// Whether a row is the usual time after the one before; without time, whether it is of the same run.
+/// Returns whether a row is the usual time after the one before; without time, whether it is of the same run.
 fn follows(data: &Data) -> Vec<bool> {
     let apart = |row: usize| data.time_s.as_ref().map_or(f64::NAN, |it| it[row] - it[row - 1]);
     let mut all: Vec<f64> = (1..data.rows).map(apart).filter(|s| *s > 0.0).collect();
@@ -245,7 +245,7 @@ fn follows(data: &Data) -> Vec<bool> {
         .collect()
 }
 
-/// Whether a row is at most [`FAST_S`] after the one before; without time, nothing says that it is not.
+/// Returns whether a row is at most [`FAST_S`] after the one before; without time, nothing says that it is not.
 fn near(data: &Data) -> Vec<bool> {
     let apart = |row: usize| data.time_s.as_ref().map_or(0.0, |it| it[row] - it[row - 1]);
     (0..data.rows)
@@ -253,7 +253,7 @@ fn near(data: &Data) -> Vec<bool> {
         .collect()
 }
 
-/// Whether another thermometer, the speed or the load turned at this row as it rarely does: then what
+/// Returns whether another thermometer, the speed or the load turned at this row as it rarely does: then what
 /// happened, happened to the machine.
 fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize>) -> bool {
     let others = data.temperatures.iter().enumerate().filter(|(at, _)| *at != column);
@@ -262,7 +262,7 @@ fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize
     columns.chain(drives).any(|values| turns_at(&values[rows.clone()], row - rows.start))
 }
 
-/// Whether a column's mean slope changes at `row` by more than almost anywhere else.
+/// Returns whether a column's mean slope changes at `row` by more than almost anywhere else.
 fn turns_at(values: &[f64], row: usize) -> bool {
     let turn = |at: usize| {
         let [before, now, after] =

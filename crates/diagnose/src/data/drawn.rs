@@ -22,7 +22,7 @@ const WORTH_CORES: usize = 10_000;
 type Shared = Arc<[f64]>;
 
 impl Data {
-    /// The rows of `mask` alone; what has a memory is still stepped through all of them.
+    /// Returns the rows of `mask` alone; what has a memory is still stepped through all of them.
     pub(crate) fn subset(self: &Arc<Self>, mask: &[bool]) -> Self {
         self.of_blocks(RowBlocks::new((0..self.rows).filter(|&row| mask[row]), |_| true))
     }
@@ -38,7 +38,7 @@ impl Data {
         })
     }
 
-    /// A row for each of `blocks`.
+    /// Returns a row for each of `blocks`.
     fn of_blocks(self: &Arc<Self>, blocks: RowBlocks) -> Self {
         let rows = blocks.first_rows();
         let is_condensed = blocks.has_means();
@@ -98,7 +98,7 @@ impl Data {
         }
     }
 
-    /// The same rows of `whole`: another table than that these were drawn from in some of the temperatures,
+    /// Returns the same rows of `whole`: another table than that these were drawn from in some of the temperatures,
     /// and in what the machine's own laws make of them.
     pub(crate) fn drawn_from(&self, whole: Self) -> Self {
         let Some(before) = &self.whole else { return whole };

@@ -43,7 +43,7 @@ impl Groups {
         Self { count: rows.counts(), size, steps: steps(&clock, &series), first_row, rows }
     }
 
-    /// The same groups of a table whose rows `rows` puts together.
+    /// Returns the same groups of a table whose rows `rows` puts together.
     pub(super) fn of(&self, rows: RowBlocks) -> Self {
         Self { first_row: rows.first_rows(), rows, ..self.clone() }
     }
@@ -57,13 +57,13 @@ impl Groups {
         self.count.iter().sum()
     }
 
-    /// The mean of `values` in each group.
+    /// Returns the mean of `values` in each group.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
         self.rows.means(values)
     }
 }
 
-/// How far each group is from the one before in median steps, by the mean times of both.
+/// Returns how far each group is from the one before in median steps, by the mean times of both.
 fn steps(clock: &[f64], series: &[u32]) -> Steps {
     let gap = |group: usize| clock[group] - clock[group - 1];
     let is_next = |group: usize| group > 0 && series[group] == series[group - 1];

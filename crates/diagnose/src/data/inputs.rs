@@ -8,7 +8,7 @@ use super::table::Data;
 /// Correlation with the measured value from which a column is that value.
 const SAME_VALUE: f64 = 0.999;
 
-/// Whether a column is about the record, not about the machine.
+/// Returns whether a column is about the record, not about the machine.
 pub(super) fn is_of_record(name: &str) -> bool {
     let is_offset = name.starts_with("offset_") && name.ends_with("_um");
     is_offset || ["quality", "calibration_crc", "check_um"].contains(&name)
@@ -33,12 +33,13 @@ pub(super) fn retain(data: &mut Data) {
     }
 }
 
-/// Whether it is a position: an axis may go one way all the time.
+/// Returns whether it is a position: an axis may go one way all the time.
 fn is_length(name: &str) -> bool {
     name.ends_with("_mm") || name.ends_with("_deg")
 }
 
-/// Whether the values never fall within a series, and grow more than once: a switch that was closed once only grows too.
+/// Returns whether the values never fall within a series, and grow more than once: a switch that was closed once only
+/// grows too.
 fn is_clock(data: &Data, values: &[f64]) -> bool {
     let changes = || {
         let is_pair = |row: &usize| data.series[*row] == data.series[row - 1];

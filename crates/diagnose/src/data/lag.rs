@@ -14,7 +14,7 @@ pub(crate) fn filled(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// The first value that is there; 0 where none is.
+/// Returns the first value that is there; 0 where none is.
 pub(crate) fn first_of(values: &[f64]) -> f64 {
     values.iter().copied().find(|value| !value.is_nan()).unwrap_or(0.0)
 }
@@ -129,7 +129,7 @@ impl Even {
         Self { share, kept }
     }
 
-    /// The `next` values behind the lag, which is at `before`; `first` is near all of them.
+    /// Returns the `next` values behind the lag, which is at `before`; `first` is near all of them.
     fn behind(&self, next: &[f64; AT_ONCE], first: f64, before: f64) -> [f64; AT_ONCE] {
         let Self { share, kept } = self;
         let ahead = before - first;
@@ -141,8 +141,8 @@ impl Even {
     }
 }
 
-/// The `next` values behind a lag that is at `before`, with a share of the way for its rise and one for its fall: of
-/// both steps the upper one where the rise is the faster one, else the lower one.
+/// Returns the `next` values behind a lag that is at `before`, with a share of the way for its rise and one for its
+/// fall: of both steps the upper one where the rise is the faster one, else the lower one.
 fn either(next: &[f64; AT_ONCE], before: f64, [rise, fall]: [f64; 2]) -> [f64; AT_ONCE] {
     let mut here = before;
     let mut step = |value: f64, one: fn(f64, f64) -> f64| {
@@ -157,7 +157,8 @@ fn either(next: &[f64; AT_ONCE], before: f64, [rise, fall]: [f64; 2]) -> [f64; A
     }
 }
 
-/// The next values from `row` on, above 0, if each follows `elapsed` after the one before it and none is missing.
+/// Returns the next values from `row` on, above 0, if each follows `elapsed` after the one before it and none is
+/// missing.
 fn next_even<'v>(
     values: &'v [f64],
     time_s: &[f64],

@@ -23,7 +23,7 @@ const LONGEST: f64 = 0.12;
 
 type Series = [f64; TERMS];
 
-/// The value of a series at ε, whose powers are given.
+/// Returns the value of a series at ε, whose powers are given.
 fn value(series: &Series, powers: &Series) -> f64 {
     series.iter().zip(powers).map(|(coefficient, power)| coefficient * power).sum()
 }
@@ -108,7 +108,7 @@ pub(super) struct LagSeries {
 }
 
 impl LagSeries {
-    /// The pieces that it is of.
+    /// Returns the pieces that it is of.
     pub(super) fn clock(&self) -> &Arc<Clock> {
         &self.clock
     }
@@ -136,7 +136,7 @@ impl LagSeries {
         Some(Self { clock: clock.clone(), added })
     }
 
-    /// The mean in each piece of `values`, those of [`new`](Self::new), behind a lag of `tau_s`, above 0.
+    /// Returns the mean in each piece of `values`, those of [`new`](Self::new), behind a lag of `tau_s`, above 0.
     pub(super) fn means(
         &self,
         values: &[f64],

@@ -62,7 +62,7 @@ impl Lags {
         new
     }
 
-    /// The same where these columns are others.
+    /// Returns the same where these columns are others.
     pub(super) fn changed(&self, rows: Rows<'_>, columns: &[Column]) -> Self {
         let is_kept = |name: &str| !columns.iter().any(|(there, _)| there == name);
         let mut changed = Self { known: Arc::default(), ..self.clone() };
@@ -90,7 +90,8 @@ impl Lags {
         }
     }
 
-    /// A column, given by its `values` in all rows, behind a lag from `start` on; `stepped` gives it stepped through all of them.
+    /// Returns a column, given by its `values` in all rows, behind a lag from `start` on; `stepped` gives it stepped
+    /// through all of them.
     pub(super) fn lagged(
         &self,
         blocks: &RowBlocks,
@@ -112,7 +113,7 @@ impl Lags {
         })
     }
 
-    /// The same for the temperature of the part whose thermometer is late; `lagged` gives what the thermometer
+    /// Returns the same for the temperature of the part whose thermometer is late; `lagged` gives what the thermometer
     /// shows behind the same lag.
     pub(super) fn followed(
         &self,
@@ -138,12 +139,13 @@ impl Lags {
         })
     }
 
-    /// The fastest lag that is told of so many rows, in s; 0 where all are.
+    /// Returns the fastest lag that is told of so many rows, in s; 0 where all are.
     pub(super) fn fastest_s(&self) -> f64 {
         self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.fastest_s())
     }
 
-    /// The stretches, and the means of `column` over them, if they tell what is behind such lags, or behind none.
+    /// Returns the stretches, and the means of `column` over them, if they tell what is behind such lags, or behind
+    /// none.
     fn by_means(&self, column: &str, lags_s: [f64; 2]) -> Option<(&Stretches, &[f64])> {
         let (stretches, means) = self.stretches.as_ref()?;
         let (_, mean_c) = means.iter().find(|(name, _)| name == column)?;
@@ -152,7 +154,7 @@ impl Lags {
         are_told.then_some((stretches, mean_c))
     }
 
-    /// The rows of what may have been asked for before.
+    /// Returns the rows of what may have been asked for before.
     fn known(
         &self,
         blocks: &RowBlocks,

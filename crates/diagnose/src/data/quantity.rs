@@ -2,7 +2,7 @@
 
 use trueup_machine::{BadInput, RunFile, file::Quantity};
 
-/// The quantity that is asked for, or the only one that the runs measure.
+/// Returns the quantity that is asked for, or the only one that the runs measure.
 pub(crate) fn quantity_of(runs: &[RunFile], asked: Option<Quantity>) -> Result<Quantity, BadInput> {
     let measured = |quantity: Quantity| format!("measured_{}_um", quantity.name());
     if let Some(quantity) = asked {

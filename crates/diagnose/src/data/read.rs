@@ -21,7 +21,7 @@ use super::{
 };
 
 impl Data {
-    /// The table of `runs`, compared in `quantity` (checked by `quantity_of`).
+    /// Returns the table of `runs`, compared in `quantity` (checked by `quantity_of`).
     pub(crate) fn new(
         machine: &Machine,
         runs: &[RunFile],
@@ -30,7 +30,7 @@ impl Data {
         Self::applied(machine, runs, quantity, 1.0)
     }
 
-    /// The same where the CNC has applied `factor` times the offsets of a bridge.
+    /// Returns the same where the CNC has applied `factor` times the offsets of a bridge.
     pub(crate) fn applied(
         machine: &Machine,
         runs: &[RunFile],
@@ -174,7 +174,7 @@ impl Data {
     }
 }
 
-/// The runs without what a bridge applied while they were measured, and what is told of that.
+/// Returns the runs without what a bridge applied while they were measured, and what is told of that.
 fn without_bridge<'r>(
     machine: &Machine,
     runs: &'r [RunFile],
@@ -192,7 +192,7 @@ fn without_bridge<'r>(
     Ok((runs, notes))
 }
 
-/// How hard the spindle heats in each row, by either power of its speed.
+/// Returns how hard the spindle heats in each row, by either power of its speed.
 fn drives(speed_rpm: Option<&[f64]>) -> Vec<Column> {
     let of = |speed_rpm: &[f64], power| {
         let heat = |&rpm: &f64| heating(power, rpm);

@@ -30,12 +30,12 @@ impl RowBlocks {
         it
     }
 
-    /// How many blocks there are.
+    /// Returns how many blocks there are.
     pub(crate) fn len(&self) -> usize {
         self.ends.len()
     }
 
-    /// Whether a block has more than one row.
+    /// Returns whether a block has more than one row.
     pub(super) fn has_means(&self) -> bool {
         self.len() < self.rows.len()
     }
@@ -46,17 +46,17 @@ impl RowBlocks {
         self.ends.iter().map(move |&end| std::mem::replace(&mut start, end as usize)..end as usize)
     }
 
-    /// The rows of each block.
+    /// Returns the rows of each block.
     pub(super) fn rows_of_each(&self) -> impl Iterator<Item = &[u32]> {
         self.blocks().map(|block| &self.rows[block])
     }
 
-    /// The first row of each block.
+    /// Returns the first row of each block.
     pub(super) fn first_rows(&self) -> Vec<usize> {
         self.blocks().map(|block| self.rows[block.start] as usize).collect()
     }
 
-    /// What each block counts for: its rows.
+    /// Returns what each block counts for: its rows.
     pub(super) fn counts(&self) -> Vec<f64> {
         let weigh = |block: std::ops::Range<usize>| match &self.weights {
             None => block.len() as f64,
@@ -65,7 +65,7 @@ impl RowBlocks {
         self.blocks().map(weigh).collect()
     }
 
-    /// The mean of `values`, one a row of the table, in each block.
+    /// Returns the mean of `values`, one a row of the table, in each block.
     pub(crate) fn means(&self, values: &[f64]) -> Vec<f64> {
         if !self.has_means() {
             return self.rows.iter().map(|&row| values[row as usize]).collect();
@@ -92,7 +92,7 @@ impl RowBlocks {
         rows.iter().map(|&row| values[row as usize]).sum()
     }
 
-    /// Each block cut into at most `pieces`, and how the pieces, a row each, make up the blocks again:
+    /// Returns each block cut into at most `pieces`, and how the pieces, a row each, make up the blocks again:
     /// a mean over them is the mean over all rows.
     pub(super) fn cut(&self, pieces: usize) -> (Self, Self) {
         let mut fine = Self { rows: self.rows.clone(), ends: Vec::new(), weights: None };

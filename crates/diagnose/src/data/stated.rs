@@ -18,7 +18,7 @@ pub(crate) struct Stated {
 }
 
 impl Stated {
-    /// The terms of the machine file that change `quantity`, in the order of the file.
+    /// Returns the terms of the machine file that change `quantity`, in the order of the file.
     pub(super) fn all(machine: &Machine, quantity: Quantity) -> Vec<Self> {
         let own = |(index, term): (usize, &Term)| {
             let effect = term.effect.clone();
@@ -34,7 +34,7 @@ impl Stated {
         machine.terms.iter().enumerate().filter_map(own).collect()
     }
 
-    /// What the constants of the terms add to the elongation and to the axis, in µm.
+    /// Returns what the constants of the terms add to the elongation and to the axis, in µm.
     pub(super) fn constants_um(machine: &Machine, quantity: Quantity) -> [f64; 2] {
         let sum = |is_of_elongation: bool| {
             let terms = machine.terms.iter().filter(|term| is_part(term, quantity));
@@ -46,7 +46,7 @@ impl Stated {
     }
 }
 
-/// Whether a term changes `quantity`: its own, or by the elongation along the tool, whose shift in time
+/// Returns whether a term changes `quantity`: its own, or by the elongation along the tool, whose shift in time
 /// is its own.
 fn is_part(term: &Term, quantity: Quantity) -> bool {
     let is_of_elongation =

@@ -45,7 +45,7 @@ impl Stepped {
     /// The longest column: of more rows a few would fill the room.
     const LONGEST: usize = 100_000;
 
-    /// What may have been asked for before, else made now.
+    /// Returns what may have been asked for before, else made now.
     pub(super) fn known(
         &self,
         source: &Source,

@@ -87,7 +87,7 @@ impl Stretches {
         Some(it)
     }
 
-    /// The mean of a column over each; none where a value is missing.
+    /// Returns the mean of a column over each; none where a value is missing.
     pub(super) fn means(
         &self,
         values: &[f64],
@@ -114,12 +114,12 @@ impl Stretches {
         (!means.iter().any(|mean| mean.is_nan())).then_some(means)
     }
 
-    /// The fastest lag that they tell, in s.
+    /// Returns the fastest lag that they tell, in s.
     pub(super) fn fastest_s(&self) -> f64 {
         self.longest_s / LONGEST
     }
 
-    /// The temperature of the part whose thermometer is late, from that in each stretch.
+    /// Returns the temperature of the part whose thermometer is late, from that in each stretch.
     pub(super) fn part_c(&self, late: Late, mean_c: &[f64]) -> Vec<f64> {
         let count = self.begins.len();
         let starts = (0..count).filter(|&n| self.begins[n]);
@@ -132,7 +132,7 @@ impl Stretches {
         starts.zip(ends).flat_map(of).collect()
     }
 
-    /// The rows that are asked for of a column, given by its means, behind a lag.
+    /// Returns the rows that are asked for of a column, given by its means, behind a lag.
     pub(super) fn lagged(&self, means: &[f64], lags_s: [f64; 2], start: Start) -> Vec<f64> {
         if lags_s == [0.0; 2] {
             return self.of_means.sum(means);
@@ -157,7 +157,7 @@ impl Stretches {
         }
     }
 
-    /// The same among the means; beyond the first and the last of a series, theirs.
+    /// Returns the same among the means; beyond the first and the last of a series, theirs.
     fn along_means<'a>(&'a self, time_s: &'a [f64]) -> impl FnMut(usize) -> (usize, f64) + 'a {
         let mut at = 0;
         move |row| {
@@ -233,7 +233,7 @@ mod tests {
 
     const ROWS: usize = 2 * MOST + 20_000;
 
-    /// Two series of uneven times, one right after the other, with a pause in the first.
+    /// Returns two series of uneven times, one right after the other, with a pause in the first.
     fn times() -> (Vec<f64>, Vec<bool>) {
         let mut now_s = 0.0;
         let time_s = (0..ROWS).map(|row| {
@@ -246,14 +246,14 @@ mod tests {
         (time_s.collect(), (0..ROWS).map(|row| row == 0 || row == ROWS / 2).collect())
     }
 
-    /// What changes by 5 K in minutes; in the second series 3 K more.
+    /// Returns what changes by 5 K in minutes; in the second series 3 K more.
     fn smooth(time_s: &[f64]) -> Vec<f64> {
         let more_c = |row: usize| if row < ROWS / 2 { 0.0 } else { 3.0 };
         let shown = |(row, t): (usize, &f64)| 20.0 + 5.0 * (TAU * t / 900.0).sin() + more_c(row);
         time_s.iter().enumerate().map(shown).collect()
     }
 
-    /// The same, and trembles by a hundredth.
+    /// Returns the same, and trembles by a hundredth.
     fn column(time_s: &[f64]) -> Vec<f64> {
         let trembling = |(row, c): (usize, f64)| c + 0.01 * ((row * 37) as f64).sin();
         smooth(time_s).into_iter().enumerate().map(trembling).collect()

@@ -115,27 +115,27 @@ impl DrawnFrom {
         Self { data, blocks, lags }
     }
 
-    /// The same rows of `data`: another table than before in the temperatures of `changed`.
+    /// Returns the same rows of `data`: another table than before in the temperatures of `changed`.
     pub(super) fn of(&self, data: Arc<Data>, changed: &[Column]) -> Self {
         let lags = self.lags.changed(data.among(&self.blocks), changed);
         Self { data, blocks: self.blocks.clone(), lags }
     }
 
-    /// A column of the whole behind a lag, in the drawn rows.
+    /// Returns a column of the whole behind a lag, in the drawn rows.
     fn lagged(&self, column: &str, lags_s @ [rise_s, fall_s]: [f64; 2]) -> Arc<Vec<f64>> {
         let (values, start) = self.data.heated_by(column).unzip();
         let values = (column, values.map(|it| &it[..]), start.unwrap_or(Start::Settled));
         self.lags.lagged(&self.blocks, values, lags_s, || self.data.lagged(column, rise_s, fall_s))
     }
 
-    /// The same for the temperature of the part whose thermometer is late.
+    /// Returns the same for the temperature of the part whose thermometer is late.
     fn followed(&self, column: &str, late: Late, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
         let lagged = || self.lagged(column, lags_s);
         let stepped = || self.data.followed(column, Some(late), lags_s);
         self.lags.followed(&self.blocks, column, late, lags_s, lagged, stepped)
     }
 
-    /// Which of its rows each row is, or begins with.
+    /// Returns which of its rows each row is, or begins with.
     pub(crate) fn rows(&self) -> Vec<usize> {
         self.blocks.first_rows()
     }
@@ -147,7 +147,7 @@ impl DrawnFrom {
 }
 
 impl Data {
-    /// The table without the terms of the machine file that the board does not run; `None`: there are none.
+    /// Returns the table without the terms of the machine file that the board does not run; `None`: there are none.
     pub(crate) fn compensated(&self) -> Option<Self> {
         let is_run = |stated: &Stated| stated.effect.is_compensated();
         if self.stated.iter().all(is_run) {
@@ -159,23 +159,23 @@ impl Data {
         Some(data)
     }
 
-    /// The position of the quantity's own axis.
+    /// Returns the position of the quantity's own axis.
     pub(crate) fn own_position(&self) -> Option<&[f64]> {
         self.quantity.axis().and_then(|axis| self.position_mm[axis.index()].as_deref())
     }
 
-    /// The direction of the quantity's own axis.
+    /// Returns the direction of the quantity's own axis.
     pub(crate) fn own_direction(&self) -> Option<&[f64]> {
         self.quantity.axis().and_then(|axis| self.direction[axis.index()].as_deref())
     }
 
-    /// A column of temperatures, in °C.
+    /// Returns a column of temperatures, in °C.
     pub(crate) fn temperature(&self, name: &str) -> Option<&[f64]> {
         let found = self.temperatures.iter().find(|(there, _)| there == name);
         found.map(|(_, values)| &values[..])
     }
 
-    /// The temperature that a term on `column` is counted from.
+    /// Returns the temperature that a term on `column` is counted from.
     pub(crate) fn reference_c(&self, column: &str) -> f64 {
         let found = self.references_c.iter().find(|(name, _)| name == column);
         found.map_or(0.0, |&(_, reference_c)| reference_c)
@@ -187,17 +187,17 @@ impl Data {
         self.start_s = training.start_s;
     }
 
-    /// The table that these rows were drawn from, where others are missing between them.
+    /// Returns the table that these rows were drawn from, where others are missing between them.
     pub(crate) fn drawn(&self) -> Option<&DrawnFrom> {
         self.whole.as_ref().filter(|whole| !whole.blocks.has_means())
     }
 
-    /// The table that these rows were drawn from, or this one: no row is missing between its rows.
+    /// Returns the table that these rows were drawn from, or this one: no row is missing between its rows.
     pub(crate) fn without_holes(&self) -> &Self {
         self.drawn().map_or(self, |drawn| &drawn.data)
     }
 
-    /// The rows that were written down for these: where they are means, there were more.
+    /// Returns the rows that were written down for these: where they are means, there were more.
     pub(crate) fn recorded_rows(&self) -> usize {
         let means = self.whole.as_ref().filter(|whole| whole.blocks.has_means());
         means.map_or(self.rows, |whole| whole.data.rows)
@@ -208,12 +208,12 @@ impl Data {
         Rows { time_s: self.time_s.as_deref(), restart: &self.restart, blocks }
     }
 
-    /// The fastest lag that is looked for in so many rows, in s; 0 where any is.
+    /// Returns the fastest lag that is looked for in so many rows, in s; 0 where any is.
     pub(crate) fn fastest_lag_s(&self) -> f64 {
         self.whole.as_ref().map_or(0.0, |whole| whole.lags.fastest_s())
     }
 
-    /// A temperature, or a power of the speed that heats, and where a lag of it starts.
+    /// Returns a temperature, or a power of the speed that heats, and where a lag of it starts.
     fn heated_by(&self, name: &str) -> Option<(&Arc<[f64]>, Start)> {
         let starts = [(&self.temperatures, Start::Settled), (&self.drives, Start::Cold)];
         starts.into_iter().find_map(|(columns, start)| {
@@ -222,12 +222,12 @@ impl Data {
         })
     }
 
-    /// What the spindle heats by this power of its speed, behind a first-order lag that starts cold.
+    /// Returns what the spindle heats by this power of its speed, behind a first-order lag that starts cold.
     pub(crate) fn heated(&self, power: SpeedPower, lag_s: f64) -> Arc<Vec<f64>> {
         self.lagged(drive(power), lag_s, lag_s)
     }
 
-    /// A temperature behind a first-order lag with one time constant while it rises and one while it
+    /// Returns a temperature behind a first-order lag with one time constant while it rises and one while it
     /// falls, both in s; missing values hold.
     pub(crate) fn lagged(&self, column: &str, rise_s: f64, fall_s: f64) -> Arc<Vec<f64>> {
         if let Some(whole) = &self.whole {
@@ -240,14 +240,14 @@ impl Data {
         }
     }
 
-    /// What a temperature is stepped through, where there is time.
+    /// Returns what a temperature is stepped through, where there is time.
     fn source(&self, column: &str) -> Option<Source> {
         let (values, start) = self.heated_by(column)?;
         let time_s = self.time_s.clone()?;
         Some(Source { values: values.clone(), time_s, restart: self.restart.clone(), start })
     }
 
-    /// A temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
+    /// Returns a temperature, or that of the part whose thermometer is late, behind a lag, stepped through all rows.
     fn stepped(&self, source: &Source, late: Option<Late>, lags_s: [f64; 2]) -> Arc<Vec<f64>> {
         let behind =
             |values: &[f64]| lag(values, &source.time_s, &source.restart, lags_s, source.start);
@@ -257,7 +257,7 @@ impl Data {
         })
     }
 
-    /// The temperature of the part whose thermometer is late, series by series.
+    /// Returns the temperature of the part whose thermometer is late, series by series.
     fn part_c(&self, source: &Source, late: Late) -> Arc<Vec<f64>> {
         let Source { values, time_s, restart, .. } = source;
         self.stepped.known(source, (Some(late), None), || {
@@ -289,7 +289,7 @@ impl Data {
         }
     }
 
-    /// The temperature of the part whose thermometer, in `column`, is late, behind a lag as in
+    /// Returns the temperature of the part whose thermometer, in `column`, is late, behind a lag as in
     /// [`Data::lagged`].
     pub(crate) fn followed(
         &self,

@@ -70,7 +70,7 @@ impl Grown {
     }
 }
 
-/// The temperature of `growth` in groups, as much of it as of the elongation is in the quantity.
+/// Returns the temperature of `growth` in groups, as much of it as of the elongation is in the quantity.
 pub(super) fn warm(growth: &Growth<'_>, data: &Data, groups: &Groups) -> Vec<f64> {
     in_quantity(&growth.behind_c(data), data, groups)
 }

@@ -12,7 +12,7 @@ use super::{jacobian::jacobian, problem::Problem, solve::Fitted};
 /// What an interval of 95 % leaves on each side.
 const BEYOND: f64 = 0.025;
 
-/// The value of part number `part` of `fitted` that differs most between the groups of the second half
+/// Returns the value of part number `part` of `fitted` that differs most between the groups of the second half
 /// and the others, in each; none where no value differs by more than its 95 % intervals in the two halves,
 /// which then lie apart:
 ///

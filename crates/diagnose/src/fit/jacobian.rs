@@ -9,7 +9,7 @@ use crate::{kind::Part, model::Model};
 /// Which value of which part a column of the Jacobian belongs to; none: the constant.
 pub(crate) type Parameter = Option<(usize, usize)>;
 
-/// The change of the prediction with each value (in groups); logarithmic values by their logarithm.
+/// Returns the change of the prediction with each value (in groups); logarithmic values by their logarithm.
 pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec<Vec<f64>>) {
     let has_shift = model.has_shift(&problem.data);
     let is_linear = |part: &Part| part.kind.is_added() && !has_shift;
@@ -39,7 +39,7 @@ pub(crate) fn jacobian(problem: &Problem, model: &Model) -> (Vec<Parameter>, Vec
     (parameters, columns)
 }
 
-/// The change of the prediction with each value of one part of `model`.
+/// Returns the change of the prediction with each value of one part of `model`.
 pub(crate) fn of_part(problem: &Problem, model: &Model, index: usize) -> Vec<(usize, Vec<f64>)> {
     let part = &model.parts[index];
     if part.kind.is_added() && !model.has_shift(&problem.data) {
@@ -49,14 +49,14 @@ pub(crate) fn of_part(problem: &Problem, model: &Model, index: usize) -> Vec<(us
     }
 }
 
-/// The step of the difference for a value, as the fit counts it, and the value at the step's end.
+/// Returns the step of the difference for a value, as the fit counts it, and the value at the step's end.
 fn moved(problem: &Problem, part: &Part, number: usize) -> (f64, f64) {
     let value = part.values[number];
     let step = derivative_step(problem, part.kind.nonlinear().get(number), value);
     (step, if part.kind.is_logarithmic(number) { value * step.exp() } else { value + step })
 }
 
-/// The same of what is only added: it is its own derivative.
+/// Returns the same of what is only added: it is its own derivative.
 fn of_added(problem: &Problem, part: &Part) -> Vec<(usize, Vec<f64>)> {
     let kind = &part.kind;
     let nonlinear = kind.nonlinear().len();
@@ -83,7 +83,7 @@ fn of_added(problem: &Problem, part: &Part) -> Vec<(usize, Vec<f64>)> {
     columns
 }
 
-/// The same of any part of `model`, which predicts `here`.
+/// Returns the same of any part of `model`, which predicts `here`.
 fn of_any(problem: &Problem, model: &Model, index: usize, here: &[f64]) -> Vec<(usize, Vec<f64>)> {
     let values: Vec<usize> = (0..model.parts[index].values.len()).collect();
     on_all_cores(&values, problem.is_large(), |&number| {

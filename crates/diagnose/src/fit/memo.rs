@@ -31,8 +31,8 @@ impl Memo {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Shelf::default();
     }
 
-    /// What may have been found before for `model`, else made now: the same whenever `what` is the same. At most
-    /// so `many` are kept.
+    /// Returns what may have been found before for `model`, else made now: the same whenever `what` is the same. At
+    /// most so `many` are kept.
     pub(super) fn known<T: Any + Send + Sync>(
         &self,
         what: &str,

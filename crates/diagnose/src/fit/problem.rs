@@ -63,7 +63,7 @@ impl Problem {
     /// Rows that are worth several cores for a fit.
     const MANY_GROUPS: usize = 500;
 
-    /// Whether a fit takes long enough for a core of its own.
+    /// Returns whether a fit takes long enough for a core of its own.
     pub(crate) fn is_large(&self) -> bool {
         self.groups.len() >= Self::MANY_GROUPS
     }
@@ -75,7 +75,7 @@ impl Problem {
         Self { data, groups, measured, bounds, cache: Mutex::default(), memo: Memo::default() }
     }
 
-    /// What an added part of these nonlinear values adds at each amplitude of 1, in groups. `keep`:
+    /// Returns what an added part of these nonlinear values adds at each amplitude of 1, in groups. `keep`:
     /// they will be asked for again and again.
     pub(crate) fn columns(&self, kind: &Kind, nonlinear: &[f64], keep: bool) -> Columns {
         let key = Key::of(kind, nonlinear);
@@ -122,7 +122,7 @@ impl Problem {
         self.cache.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What `model` predicts, in groups.
+    /// Returns what `model` predicts, in groups.
     pub(crate) fn predicted(&self, model: &Model) -> Vec<f64> {
         let model = &*model.with_stated(&self.data);
         if let Some(shift_s) = model.shift_s() {
@@ -144,7 +144,7 @@ impl Problem {
         sum
     }
 
-    /// What the model predicts with these parts alone, which are not only added: one column.
+    /// Returns what the model predicts with these parts alone, which are not only added: one column.
     fn of_law(&self, law: &[&Part]) -> Columns {
         let key = Key::of_all(law);
         if let Some(known) = self.cache().get(&key) {
@@ -159,7 +159,7 @@ impl Problem {
         predicted
     }
 
-    /// The same where the parts multiply the growth, and at most correct its law where that is a factor times a
+    /// Returns the same where the parts multiply the growth, and at most correct its law where that is a factor times a
     /// temperature.
     fn grown(&self, law: &Model) -> Option<Vec<f64>> {
         let (corrects, multiplies): (Vec<&Part>, Vec<&Part>) =
@@ -189,7 +189,7 @@ impl Problem {
         Some(still.and(rows.map(|(warm, along)| factor * (warm - reference_c * along)), &self.data))
     }
 
-    /// What the model would predict if nothing were late, in the rows of the whole.
+    /// Returns what the model would predict if nothing were late, in the rows of the whole.
     fn unshifted(&self, model: &Model) -> Arc<Vec<f64>> {
         let mut plain = model.clone();
         plain.parts.retain(|part| !part.kind.is_shift());
@@ -203,7 +203,7 @@ impl Problem {
         predicted
     }
 
-    /// The same, as if `measured` (in groups) had been measured.
+    /// Returns the same, as if `measured` (in groups) had been measured.
     pub(crate) fn measuring(&self, measured: Vec<f64>) -> Self {
         Self {
             data: self.data.clone(),
@@ -215,12 +215,12 @@ impl Problem {
         }
     }
 
-    /// Whether a time constant is so short that the record shows all of it.
+    /// Returns whether a time constant is so short that the record shows all of it.
     pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
         SHORT * time_constant_s < self.bounds.longest_s
     }
 
-    /// Whether a value of a part is where its search ends, so that the best may lie beyond: a time
+    /// Returns whether a value of a part is where its search ends, so that the best may lie beyond: a time
     /// constant at its longest (at its shortest it is none), an amplitude, a limit or a period at either
     /// end.
     pub(crate) fn is_at_the_end(&self, part: &Part) -> bool {
@@ -393,7 +393,7 @@ mod tests {
     use super::*;
     use crate::candidates::possible;
 
-    /// The shifts that are admitted for ten minutes at 20 Hz.
+    /// Returns the shifts that are admitted for ten minutes at 20 Hz.
     fn shifts_s(clock: &str, terms: &str) -> [f64; 2] {
         let mut text = format!("time_s,sensor_counts,measured_elongation_um{clock}\n");
         for row in 0..=12_000 {

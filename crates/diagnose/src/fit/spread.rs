@@ -25,23 +25,23 @@ pub(crate) struct Spread {
 }
 
 impl Spread {
-    /// The row of the covariance in which a part's value stands; none where nothing determines it.
+    /// Returns the row of the covariance in which a part's value stands; none where nothing determines it.
     pub(crate) fn row_of(&self, part: usize, value: usize) -> Option<usize> {
         self.parameters.iter().position(|at| *at == Some((part, value)))
     }
 
-    /// The row of the covariance in which a value of the model stands, or its constant.
+    /// Returns the row of the covariance in which a value of the model stands, or its constant.
     pub(crate) fn place_of(&self, parameter: &Parameter) -> Option<usize> {
         self.parameters.iter().position(|at| at == parameter)
     }
 
-    /// The covariance of two rows.
+    /// Returns the covariance of two rows.
     pub(crate) fn covariance(&self, one: usize, other: usize) -> f64 {
         self.covariance[(one, other)]
     }
 }
 
-/// The sandwich (XᵀX)⁻¹·XᵀVX·(XᵀX)⁻¹ about `fitted`, V the covariance of `noise`.
+/// Returns the sandwich (XᵀX)⁻¹·XᵀVX·(XᵀX)⁻¹ about `fitted`, V the covariance of `noise`.
 pub(crate) fn spread(problem: &Problem, fitted: &Fitted, noise: Noise) -> Spread {
     let (mut parameters, mut columns) = jacobian(problem, &fitted.model);
     let substitutes = substitutes(&fitted.model, &parameters, &columns, None);

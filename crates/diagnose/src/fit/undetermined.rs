@@ -13,7 +13,7 @@ pub(super) struct Substitute {
     pub by: usize,
 }
 
-/// The values of tables and splines that the groups in `mask` do not determine: their columns are
+/// Returns the values of tables and splines that the groups in `mask` do not determine: their columns are
 /// hardly ever more than 0, because the axis was hardly ever there. Fitted to the hundredth of a
 /// reading such a value would be anything, and wrong by as much where it is needed. The nearest
 /// value that is determined stands for it.

@@ -31,7 +31,7 @@ impl<'c> Case<'c> {
         Self { problem, found, left_out_um: rms(&left_out), left_out, folded }
     }
 
-    /// The answer's BIC.
+    /// Returns the answer's BIC.
     pub(crate) fn bic(&self) -> f64 {
         bic(self.problem, &self.found.fitted)
     }
@@ -46,27 +46,27 @@ impl<'c> Case<'c> {
         bic_gap(self.problem, own, other)
     }
 
-    /// What is left out in turn.
+    /// Returns what is left out in turn.
     pub(crate) fn folds(&self) -> &Folds {
         &self.found.folds
     }
 
-    /// What `other` leaves on left-out blocks, in each group, in µm.
+    /// Returns what `other` leaves on left-out blocks, in each group, in µm.
     pub(crate) fn left_out_of(&self, other: &Fitted) -> Vec<f64> {
         self.folds().left_out(self.problem, &other.model)
     }
 
-    /// What `other` leaves on left-out blocks: RMS, in µm.
+    /// Returns what `other` leaves on left-out blocks: RMS, in µm.
     pub(crate) fn left_out_um_of(&self, other: &Fitted) -> f64 {
         rms(&self.left_out_of(other))
     }
 
-    /// What the answer leaves less than `before` on left-out blocks.
+    /// Returns what the answer leaves less than `before` on left-out blocks.
     pub(crate) fn paired(&self, before: &[f64]) -> Paired {
         self.folds().paired(before, &self.left_out)
     }
 
-    /// What the answer brings against `without`, which lacks a term and leaves `before` on left-out
+    /// Returns what the answer brings against `without`, which lacks a term and leaves `before` on left-out
     /// blocks.
     pub(crate) fn gain(&self, without: &Fitted, before: &[f64]) -> Gain {
         let reduction = self.folds().reduction(before, &self.left_out);

@@ -56,12 +56,12 @@ pub(crate) enum Doubt {
 }
 
 impl Doubt {
-    /// Whether it is doubted how large the term is, if it is anything.
+    /// Returns whether it is doubted how large the term is, if it is anything.
     pub(crate) fn is_of_size(&self) -> bool {
         matches!(self, Self::MayBeNothing | Self::AtTheEnd | Self::GainsOnce)
     }
 
-    /// Whether another record, which begins elsewhere, would show it otherwise.
+    /// Returns whether another record, which begins elsewhere, would show it otherwise.
     pub(crate) fn is_of_this_record(&self) -> bool {
         matches!(self, Self::SlowerThanRecord | Self::StartOf(_))
     }

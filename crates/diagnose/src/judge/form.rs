@@ -38,7 +38,7 @@ const SETTLED: f64 = 2.0;
 /// The share of the record that must be left without its start for the question to be fair.
 const LEAST_LEFT: f64 = 0.5;
 
-/// The lagged law whose form may be all that `part` stands for; `without` lacks the part.
+/// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
 pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<Kind> {
     let kind = &part.kind;
     let is_plain = kind
@@ -60,7 +60,7 @@ pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<
     law.map(|law| law.kind.clone())
 }
 
-/// The lagged law of which `part`, which settles from the start on, may be where that law stood when the record
+/// Returns the lagged law of which `part`, which settles from the start on, may be where that law stood when the record
 /// began: one of the answer, or one that was not found and foresees as well together with it.
 pub(crate) fn start_of(case: &Case<'_>, part: &Part) -> Option<Kind> {
     if !part.kind.is_from_the_start() {
@@ -82,7 +82,7 @@ pub(crate) fn start_of(case: &Case<'_>, part: &Part) -> Option<Kind> {
     })
 }
 
-/// Whether what nothing else does than the term that `without` lacks is less than `law` may miss.
+/// Returns whether what nothing else does than the term that `without` lacks is less than `law` may miss.
 fn is_within_form(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     let fitted = &case.found.fitted;
     let rows = fitted.residual.len() as f64;
@@ -90,7 +90,7 @@ fn is_within_form(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     own_um < FORM * rms(&centred_effect(case.problem, fitted, &law.kind))
 }
 
-/// Whether a second body behind `law` does as well as the term that `without` lacks.
+/// Returns whether a second body behind `law` does as well as the term that `without` lacks.
 fn is_second_body(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     let problem = case.problem;
     let price = (problem.groups.len() as f64).ln();
@@ -104,7 +104,7 @@ fn is_second_body(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     })
 }
 
-/// Whether the term that `without` lacks is not needed once `law` has settled.
+/// Returns whether the term that `without` lacks is not needed once `law` has settled.
 fn is_of_the_start(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     let (problem, found) = (case.problem, case.found);
     let Some(times) = problem.data.time_s.as_deref() else { return false };

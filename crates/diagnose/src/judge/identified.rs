@@ -13,7 +13,7 @@ const SEEN_AGAIN: f64 = 1.1;
 /// By how much a time constant may differ with what is left out, from the least to the most.
 const STEADY: f64 = 2.5;
 
-/// Whether a term is identified; `is_known`: by the intervals of its values.
+/// Returns whether a term is identified; `is_known`: by the intervals of its values.
 pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bool {
     // What acts late is known if the model foresees what it was not fitted to. A growth from the start
     // alone is excepted: without the start it cannot be.
@@ -27,7 +27,7 @@ pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bo
             && is_seen_again(&case.problem.data, cause)
 }
 
-/// Whether a time constant is about the same whatever part of the record is left out, or short beside
+/// Returns whether a time constant is about the same whatever part of the record is left out, or short beside
 /// the record.
 fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
     if !cause.is_logarithmic(0) || cause.tier() > 1 {
@@ -41,7 +41,7 @@ fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
     high <= STEADY * low || case.problem.is_short(high)
 }
 
-/// Whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
+/// Returns whether a slow path of a column was seen more than once: over one heating and one cooling, whatever
 /// rises late and falls late is a path. The column must have turned three times by a tenth of its
 /// range, in all records together.
 fn is_seen_again(data: &Data, kind: &Kind) -> bool {
@@ -74,7 +74,7 @@ mod tests {
 
     use super::*;
 
-    /// A record in which the table warms and cools as often as said.
+    /// Returns a record in which the table warms and cools as often as said.
     fn record(cycles: usize) -> Data {
         let mut text = String::from("time_s,temp_table_c,measured_elongation_um\n");
         for second in 0..40 * cycles {

@@ -8,8 +8,9 @@ use crate::{
     kind::{Kind, Part},
 };
 
-/// The table of the answer that may be short of what this wave of the instrument does: none where the wave was looked
-/// at in most of its turns, at places less than half a turn apart, and turns more often than the table has intervals.
+/// Returns the table of the answer that may be short of what this wave of the instrument does: none where the wave was
+/// looked at in most of its turns, at places less than half a turn apart, and turns more often than the table has
+/// intervals.
 pub(super) fn table_beside(case: &Case<'_>, part: &Part) -> Option<Kind> {
     let &[constant_mm, origin_mm, ..] = part.values.as_slice() else { return None };
     if !part.kind.is_of_instrument() || part.kind.column().is_some() {

@@ -118,7 +118,7 @@ impl Judgement {
         &self.part.kind
     }
 
-    /// What it goes with, where another law does.
+    /// Returns what it goes with, where another law does.
     pub(crate) fn other_law(&self) -> Option<&Inputs> {
         self.doubts.iter().find_map(|doubt| match doubt {
             Doubt::OtherLaw(inputs) => Some(inputs),
@@ -126,12 +126,12 @@ impl Judgement {
         })
     }
 
-    /// Whether another record would show it otherwise.
+    /// Returns whether another record would show it otherwise.
     pub(crate) fn is_of_this_record(&self) -> bool {
         self.doubts.iter().any(Doubt::is_of_this_record)
     }
 
-    /// Whether it may be where a lagged law stood when the record began.
+    /// Returns whether it may be where a lagged law stood when the record began.
     pub(crate) fn is_of_the_start(&self) -> bool {
         self.doubts.iter().any(|doubt| matches!(doubt, Doubt::StartOf(_)))
     }
@@ -290,7 +290,7 @@ fn doubts_by_residual(
     doubts
 }
 
-/// The value of a part that differs most between the halves of the record, in each.
+/// Returns the value of a part that differs most between the halves of the record, in each.
 fn halves(case: &Case<'_>, part: &Part) -> Option<[f64; 2]> {
     let kind = &part.kind;
     if kind.list_length().is_some() || kind.has_instant() || kind.is_of_instrument() {

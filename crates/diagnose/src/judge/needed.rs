@@ -12,7 +12,7 @@ use crate::{
 };
 use trueup_machine::effect::Effect;
 
-/// Whether a term still gains without the block on which it gains most. Tables and curves answer for
+/// Returns whether a term still gains without the block on which it gains most. Tables and curves answer for
 /// themselves, cycle by cycle.
 pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     cause.list_length().is_some()
@@ -21,13 +21,13 @@ pub(crate) fn gains_again(case: &Case<'_>, cause: &Kind, left_out_without: &[f64
                 && hangs_on_one_reading(left_out_without, &case.left_out))
 }
 
-/// Whether the interval of what a term gains on left-out blocks holds nothing, as that of its size must not.
+/// Returns whether the interval of what a term gains on left-out blocks holds nothing, as that of its size must not.
 /// Tables and curves answer for themselves.
 pub(crate) fn may_gain_nothing(part: &Part, gain: &Gain) -> bool {
     part.kind.list_length().is_none() && gain.ci95[0] <= 0.0
 }
 
-/// Whether what only the clock tells, a drift or a jump, also foresees the end of the record, where
+/// Returns whether what only the clock tells, a drift or a jump, also foresees the end of the record, where
 /// whatever is not told apart from it goes another way.
 pub(crate) fn goes_on(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     let is_of_clock = cause.cause().is_some_and(Effect::is_in_time) && !cause.has_time_constant();
@@ -52,7 +52,7 @@ pub(crate) struct Together {
     pub is_gain: bool,
 }
 
-/// The pairs of terms that are only certain together: neither alone foresees better what was left out,
+/// Returns the pairs of terms that are only certain together: neither alone foresees better what was left out,
 /// or the one takes back more of the other than it leaves.
 pub(crate) fn only_together(case: &Case<'_>, terms: &[Alone<'_>]) -> Vec<Together> {
     let mut all = Vec::new();
@@ -78,7 +78,7 @@ pub(crate) fn only_together(case: &Case<'_>, terms: &[Alone<'_>]) -> Vec<Togethe
     all
 }
 
-/// What is left on left-out blocks without either of two terms.
+/// Returns what is left on left-out blocks without either of two terms.
 fn neither(case: &Case<'_>, one: &Kind, other: &Kind) -> Vec<f64> {
     let problem = case.problem;
     let model = without(problem, &case.found.fitted.model, one);

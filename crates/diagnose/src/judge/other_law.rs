@@ -43,20 +43,20 @@ impl Curves {
         Self { candidates }
     }
 
-    /// The BIC of a model beside which up to two curves take what they can.
+    /// Returns the BIC of a model beside which up to two curves take what they can.
     pub(crate) fn bic_beside(&self, case: &Case<'_>, fitted: &Fitted) -> f64 {
         bic(case.problem, &with_curves(case.problem, fitted, &self.candidates))
     }
 
-    /// Whether a term is needed also where curves explain what they can: `without` lacks it.
+    /// Returns whether a term is needed also where curves explain what they can: `without` lacks it.
     pub(crate) fn leave_a_need(&self, case: &Case<'_>, without: &Fitted) -> bool {
         let [with, in_place] =
             [&case.found.fitted, without].map(|fitted| self.bic_beside(case, fitted));
         in_place > with + STRONG_EVIDENCE
     }
 
-    /// A curve that explains clearly more in the place of a term, or, of two values, as well; `without` lacks the
-    /// term.
+    /// Returns a curve that explains clearly more in the place of a term, or, of two values, as well; `without` lacks
+    /// the term.
     pub(crate) fn another_law(
         &self,
         case: &Case<'_>,
@@ -79,7 +79,7 @@ impl Curves {
     }
 }
 
-/// What the score of `curve` in the place of the term that `without` lacks says against that term.
+/// Returns what the score of `curve` in the place of the term that `without` lacks says against that term.
 fn doubt_by(
     case: &Case<'_>,
     curve: &Extension,
@@ -101,7 +101,7 @@ fn doubt_by(
         .then_some(Doubt::LawAsWell(inputs))
 }
 
-/// Whether it is another scale of what the model says from somewhere on.
+/// Returns whether it is another scale of what the model says from somewhere on.
 fn is_of_two_scales(kind: &Kind) -> bool {
     matches!(kind, Kind::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(SAID))
 }
@@ -115,13 +115,13 @@ fn beside(curve: &Model, answer: &Model, cause: &Kind) -> Model {
     beside
 }
 
-/// Whether a column is what the instrument reads.
+/// Returns whether a column is what the instrument reads.
 fn is_reading(data: &Data, column: &str) -> bool {
     let reading = data.own_position().unwrap_or(&data.elongation);
     named(data, column).is_some_and(|column| correlation(column, reading).abs() > SAME_COLUMN)
 }
 
-/// The correlation of two columns, over the rows that both have.
+/// Returns the correlation of two columns, over the rows that both have.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let pairs: Vec<(f64, f64)> = a
         .iter()

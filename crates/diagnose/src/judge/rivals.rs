@@ -29,7 +29,7 @@ pub(crate) struct Rival {
 }
 
 impl Rival {
-    /// Whether it is another cause or hangs on another column. A second path of the heat by which a path
+    /// Returns whether it is another cause or hangs on another column. A second path of the heat by which a path
     /// of the machine file goes is that path, changed.
     pub(crate) fn differs_from(&self, cause: &Kind) -> bool {
         let column = |kind: &Kind| kind.heat_path().map(|path| path.column.to_owned());
@@ -37,7 +37,7 @@ impl Rival {
         own.is_none() || own != column(&self.cause)
     }
 
-    /// Whether the data cannot tell it from `cause`. Of two columns that go together both may foresee
+    /// Returns whether the data cannot tell it from `cause`. Of two columns that go together both may foresee
     /// what was left out, however narrow the intervals are.
     pub(crate) fn is_open(&self, cause: &Kind) -> bool {
         let is_near = self.bic_gap < STRONG_EVIDENCE;
@@ -46,7 +46,7 @@ impl Rival {
     }
 }
 
-/// The rivals of a term among what was tried in its place, the best first.
+/// Returns the rivals of a term among what was tried in its place, the best first.
 pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec<Rival> {
     let mut all: Vec<Rival> = Vec::new();
     for Extension { cause: other, fitted, .. } in places.instead {
@@ -81,7 +81,7 @@ pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec
     all
 }
 
-/// Whether `rival` needs more values and can do, but for a twentieth, what the term does that
+/// Returns whether `rival` needs more values and can do, but for a twentieth, what the term does that
 /// `without` lacks.
 pub(super) fn imitates(case: &Case<'_>, without: &Fitted, rival: &Fitted) -> bool {
     let answer = &case.found.fitted.model;
@@ -105,7 +105,7 @@ pub(super) fn imitates(case: &Case<'_>, without: &Fitted, rival: &Fitted) -> boo
     is_near(&rival.model) || quick != rival.model && is_near(&quick)
 }
 
-/// Whether all open rivals predict the same as the answer, within what is left anyway.
+/// Returns whether all open rivals predict the same as the answer, within what is left anyway.
 pub(crate) fn predict_alike(case: &Case<'_>, open: &[&Rival]) -> bool {
     let data = &case.problem.data;
     let here = case.found.fitted.model.predict(data);

@@ -35,7 +35,7 @@ pub(crate) struct BetweenPoints {
     pub next_mm: Vec<f64>,
 }
 
-/// What the repeats say of `cause` if it is a table; none where nothing was repeated.
+/// Returns what the repeats say of `cause` if it is a table; none where nothing was repeated.
 pub(crate) fn repeated(case: &Case<'_>, cause: &Kind) -> Option<Repeated> {
     let table = cause.table()?;
     let problem = case.problem;
@@ -66,7 +66,7 @@ pub(crate) fn repeated(case: &Case<'_>, cause: &Kind) -> Option<Repeated> {
     })
 }
 
-/// A position in each gap between the places, or in as many evenly chosen: not all in the middle, so that
+/// Returns a position in each gap between the places, or in as many evenly chosen: not all in the middle, so that
 /// they have no common distance that an error could repeat with.
 fn next_mm(at_mm: &[f64]) -> Vec<f64> {
     /// The fraction by which the golden section moves on: no two of a few come near each other.
@@ -86,7 +86,7 @@ fn next_mm(at_mm: &[f64]) -> Vec<f64> {
 }
 
 impl BetweenPoints {
-    /// What is known, in a sentence; none where the line foresees them.
+    /// Returns what is known, in a sentence; none where the line foresees them.
     pub(crate) fn sentence(&self) -> Option<String> {
         let Between { inner, line, nothing, .. } = self.found;
         let figures = format!(
@@ -104,7 +104,7 @@ impl BetweenPoints {
             .then(|| format!("At its points it holds; between them it is doubted: {figures}."))
     }
 
-    /// The measurement that decides, where it is open.
+    /// Returns the measurement that decides, where it is open.
     pub(crate) fn next_test(&self) -> Option<String> {
         self.sentence()?;
         let next: Vec<String> = self.next_mm.iter().map(f64::to_string).collect();

@@ -70,7 +70,7 @@ pub struct AxisRun {
 }
 
 impl AxisRun {
-    /// How long it lasts, in minutes, without the ways of acceleration.
+    /// Returns how long it lasts, in minutes, without the ways of acceleration.
     #[must_use]
     pub fn minutes(&self) -> f64 {
         let [low, high] = self.ends_mm();
@@ -205,12 +205,12 @@ impl AxisForesight {
         })
     }
 
-    /// The columns that a run is to have beside the axis's position and what is measured.
+    /// Returns the columns that a run is to have beside the axis's position and what is measured.
     pub(super) fn inputs(&self) -> Vec<String> {
         self.columns.iter().map(|(name, _)| name.clone()).collect()
     }
 
-    /// All runs that are thought of.
+    /// Returns all runs that are thought of.
     pub(super) fn candidates(&self) -> Vec<AxisRun> {
         let [low, high] = self.range_mm;
         let over_mm = (OVER_SHARE * (high - low)).min(MOST_OVER_MM);
@@ -249,8 +249,8 @@ impl AxisForesight {
         all
     }
 
-    /// A run as it will be recorded, counted from where `training` is; none where the machine file needs a column
-    /// that cannot be foreseen.
+    /// Returns a run as it will be recorded, counted from where `training` is; none where the machine file needs a
+    /// column that cannot be foreseen.
     pub(super) fn table(&self, run: &AxisRun, training: &Data) -> Option<Data> {
         let name = self.axis.name();
         let mut text = format!("{name}_mm,dir_{name}");

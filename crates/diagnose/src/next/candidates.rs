@@ -20,7 +20,7 @@ const MAX_MIN: f64 = 90.0;
 /// half and three quarters of the highest speed.
 const RUN_IN_MIN: f64 = 3.0;
 
-/// All of them.
+/// Returns all of them.
 pub(super) fn candidates(foresight: &Foresight) -> Vec<Vec<Stretch>> {
     let speeds = SPEEDS.map(|share| (share * foresight.fastest_rpm / 100.0).round() * 100.0);
     let stretch = |rpm: f64, minutes: f64| Stretch { rpm, minutes, load_n: 0.0 };

@@ -71,7 +71,7 @@ const NO_INPUTS: [&str; 10] = [
     "dir_",
 ];
 
-/// Whether a column is what a model goes by.
+/// Returns whether a column is what a model goes by.
 pub(super) fn is_input(name: &str) -> bool {
     !NO_INPUTS.iter().any(|start| name.starts_with(start))
 }
@@ -136,14 +136,14 @@ impl Foresight {
         Ok(Self { fastest_rpm, most_load_n, every_s: every_s.max(gauge.step_s()), columns })
     }
 
-    /// The columns that a run is to have beside time, speed and growth.
+    /// Returns the columns that a run is to have beside time, speed and growth.
     pub(super) fn inputs(&self) -> Vec<String> {
         let load = self.most_load_n.map(|_| "load_n".to_string());
         load.into_iter().chain(self.columns.iter().map(|(name, _)| name.clone())).collect()
     }
 
-    /// A run as it will be recorded, counted from where `training` is; none where the machine file needs a column
-    /// that cannot be foreseen.
+    /// Returns a run as it will be recorded, counted from where `training` is; none where the machine file needs a
+    /// column that cannot be foreseen.
     pub(super) fn table(&self, stretches: &[Stretch], training: &Data) -> Option<Data> {
         let mut rows = vec![Row { step_s: 0.0, speed: 0.0, load_n: 0.0 }];
         for stretch in stretches {
@@ -240,7 +240,7 @@ fn dot(x: &[f64; 4], constants: &[f64]) -> f64 {
     x.iter().zip(constants).map(|(x, c)| x * c).sum()
 }
 
-/// The lag of what heats, from cold at the start of each run.
+/// Returns the lag of what heats, from cold at the start of each run.
 fn heat(rows: &[Row], power: f64, lag_s: f64) -> Vec<f64> {
     let mut state = 0.0;
     rows.iter()
@@ -259,7 +259,8 @@ fn heat(rows: &[Row], power: f64, lag_s: f64) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// A thermometer that follows the speed in 20 minutes, read each minute for an hour at `rpm`, then half an hour still.
+    /// Returns a thermometer that follows the speed in 20 minutes, read each minute for an hour at `rpm`, then half an
+    /// hour still.
     fn run(rpm: f64) -> (RunFile, f64) {
         let mut text = String::from("time_s,spindle_rpm,temp_front_c,measured_elongation_um\n");
         let mut rise_c = 0.0;

@@ -59,8 +59,8 @@ pub(crate) struct Separation {
     pub difference_um: f64,
 }
 
-/// The open questions of what was `judged`, in its order: each cause that is not claimed, and the best that cannot be
-/// told from it.
+/// Returns the open questions of what was `judged`, in its order: each cause that is not claimed, and the best that
+/// cannot be told from it.
 pub(crate) fn questions(problem: &Problem, found: &Found, judged: &[Judgement]) -> Vec<Question> {
     let open = judged.iter().filter(|it| !it.doubts.is_empty()).filter_map(|it| {
         let rival = it.rivals.iter().find(|rival| rival.is_open(it.cause()))?;
@@ -95,7 +95,7 @@ impl Question {
         }
     }
 
-    /// What `run` will tell.
+    /// Returns what `run` will tell.
     pub(crate) fn told(&self, run: &Data) -> Told {
         let Separation { gap, difference_um } = self.separation(run);
         Told {
@@ -106,7 +106,7 @@ impl Question {
         }
     }
 
-    /// How far `run` sets the two apart, whatever it measures.
+    /// Returns how far `run` sets the two apart, whatever it measures.
     pub(crate) fn separation(&self, run: &Data) -> Separation {
         let day = self.day(run);
         let [one, other] = [0, 1].map(|n| day.problem.predicted(&self.sides[n].model));
@@ -116,7 +116,8 @@ impl Question {
         Separation { gap: f64::min(gaps[0], gaps[1]), difference_um }
     }
 
-    /// What `run` has measured for the first against the second: −2·ln of the likelihood ratio, above 0 for the first.
+    /// Returns what `run` has measured for the first against the second: −2·ln of the likelihood ratio, above 0 for the
+    /// first.
     pub(crate) fn score(&self, run: &Data) -> f64 {
         let day = self.day(run);
         let measured = day.problem.groups.means(&run.measured);

@@ -73,7 +73,7 @@ impl Dictionary {
         dictionary
     }
 
-    /// Whether a constant comes with one of these terms.
+    /// Returns whether a constant comes with one of these terms.
     pub(super) fn has_constant(&self, terms: &[usize]) -> bool {
         self.has_zero || terms.iter().any(|&term| self.entries[term].part.kind.has_reference())
     }

@@ -142,7 +142,7 @@ pub(crate) fn choose(
     Choice::Take(Taken { fitted: it.fitted, causes: vec![it.cause], gain, tried })
 }
 
-/// The place of the one to take, where `least_um` is the least that one of them leaves.
+/// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
 fn best_of(all: &[Assessed], least_um: f64) -> Option<usize> {
     let predicts = |it: &Assessed| it.is_gain && it.left_out_um <= EQUAL_PREDICTION * least_um;
     let best = all.iter().filter(|it| predicts(it)).map(|it| it.bic).fold(f64::INFINITY, f64::min);
@@ -156,7 +156,7 @@ fn best_of(all: &[Assessed], least_um: f64) -> Option<usize> {
         .map(|(index, _)| index)
 }
 
-/// What is right may predict no better while something else is wrong beside it: the first of `all` with
+/// Returns what is right may predict no better while something else is wrong beside it: the first of `all` with
 /// a partner that lets it predict.
 fn pair_with_the_first(
     baseline: &Baseline<'_>,
@@ -186,7 +186,7 @@ fn pair_with_the_first(
     })
 }
 
-/// The causes of at most `tier` that do most beside what `base` has, the best first.
+/// Returns the causes of at most `tier` that do most beside what `base` has, the best first.
 fn partners(problem: &Problem, base: &Fitted, tier: u8) -> Vec<Extension> {
     let own = bic(problem, base);
     let mut better = with_each_cause(problem, base, 4, |cause| cause.tier() <= tier);

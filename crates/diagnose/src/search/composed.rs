@@ -17,8 +17,8 @@ use crate::{
 /// Those that are fitted in the place of all terms over a column.
 const MOST_ALONE: usize = 10;
 
-/// What takes two inputs together comes last, beside simpler terms that have stood for it. Returns models with one alone
-/// in the place of all terms of `fitted` that read the column of one of `causes`.
+/// Returns what takes two inputs together comes last, beside simpler terms that have stood for it. Returns models with
+/// one alone in the place of all terms of `fitted` that read the column of one of `causes`.
 pub(crate) fn alone_over_a_column<'k>(
     problem: &Problem,
     fitted: &Fitted,
@@ -48,14 +48,15 @@ impl Search<'_> {
         CHOICE * (all.len().max(1) as f64).ln()
     }
 
-    /// Whether a cause takes two inputs together and a term of the model that does so reads its column: several on one
-    /// column make up a law that has no form here.
+    /// Returns whether a cause takes two inputs together and a term of the model that does so reads its column: several
+    /// on one column make up a law that has no form here.
     pub(super) fn has_composed_over_its_column(&self, cause: &Kind) -> bool {
         let is_of_it = |there: &Kind| there.is_composed() && there.column() == cause.column();
         cause.is_composed() && self.added.iter().any(|it| is_of_it(&it.cause))
     }
 
-    /// Whether an extension takes two inputs together and takes back what another term adds: two that are wrong.
+    /// Returns whether an extension takes two inputs together and takes back what another term adds: two that are
+    /// wrong.
     pub(super) fn takes_back(&self, extension: &Extension) -> bool {
         let effect = |kind: &Kind| centred_effect(self.problem, &extension.fitted, kind);
         let others = extension.fitted.model.parts.iter().map(|part| &part.kind);

@@ -26,24 +26,24 @@ pub(crate) const STRONG_EVIDENCE: f64 = 6.0;
 /// What leaves more than this times as much on left-out blocks (RMS) does not predict as well.
 pub(crate) const EQUAL_PREDICTION: f64 = 1.05;
 
-/// How many values of `model` are fitted.
+/// Returns how many values of `model` are fitted.
 pub(crate) fn degrees(model: &Model) -> usize {
     let parts: usize = model.parts.iter().map(|part| part.kind.degrees()).sum();
     parts + usize::from(model.constant_um.is_some())
 }
 
-/// The noise of a residual (in groups) that so many values were fitted to.
+/// Returns the noise of a residual (in groups) that so many values were fitted to.
 pub(crate) fn noise_of(problem: &Problem, residual: &[f64], degrees: usize) -> Noise {
     noise::estimate(residual, &problem.groups.steps, longest_memory(problem), degrees)
 }
 
-/// The longest memory that noise is believed to have, in steps of the groups.
+/// Returns the longest memory that noise is believed to have, in steps of the groups.
 pub(crate) fn longest_memory(problem: &Problem) -> f64 {
     let groups = &problem.groups;
     (noise::longest_memory(groups.rows() as usize) / groups.size as f64).max(1.0)
 }
 
-/// The BIC; smaller is better.
+/// Returns the BIC; smaller is better.
 pub(crate) fn bic(problem: &Problem, fitted: &Fitted) -> f64 {
     // What is left may be another fit's than the model's.
     let what = format!("BIC of {:x}", fitted.sum.to_bits());
@@ -72,7 +72,7 @@ pub(crate) fn bic_gap(problem: &Problem, own: &Fitted, other: &Fitted) -> f64 {
     by_likelihood.max(by_squares(other) - by_squares(own))
 }
 
-/// What `model` leaves on blocks that were left out of the fit in turn: RMS, in µm.
+/// Returns what `model` leaves on blocks that were left out of the fit in turn: RMS, in µm.
 pub(crate) fn left_out_um(problem: &Problem, folds: &Folds, model: &Model) -> f64 {
     rms(&folds.left_out(problem, model))
 }

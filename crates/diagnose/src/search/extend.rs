@@ -33,7 +33,7 @@ impl Extension {
         Self { cause, fitted, bic }
     }
 
-    /// The one of the best BIC; of equals the first.
+    /// Returns the one of the best BIC; of equals the first.
     pub(crate) fn best(all: impl IntoIterator<Item = Self>) -> Option<Self> {
         all.into_iter().min_by(|a, b| a.bic.total_cmp(&b.bic))
     }
@@ -120,7 +120,7 @@ pub(crate) fn replacements(
     Replacements { without: reduced, instead }
 }
 
-/// The model without a term; a constant that only came with a reference goes with it.
+/// Returns the model without a term; a constant that only came with a reference goes with it.
 pub(crate) fn without(problem: &Problem, model: &Model, cause: &Kind) -> Model {
     let mut without = model.clone();
     without.parts.retain(|part| part.kind != *cause);
@@ -132,7 +132,7 @@ pub(crate) fn without(problem: &Problem, model: &Model, cause: &Kind) -> Model {
     without
 }
 
-/// What a term of `fitted` adds to each group, less its mean, in µm: a constant is anybody's.
+/// Returns what a term of `fitted` adds to each group, less its mean, in µm: a constant is anybody's.
 pub(crate) fn centred_effect(problem: &Problem, fitted: &Fitted, cause: &Kind) -> Vec<f64> {
     let model = &fitted.model;
     let parts = model.parts.iter().filter(|part| part.kind != *cause).cloned().collect();
@@ -143,7 +143,7 @@ pub(crate) fn centred_effect(problem: &Problem, fitted: &Fitted, cause: &Kind) -
     effect.into_iter().map(|e| e - mean).collect()
 }
 
-/// Whether of two effects the one takes back more of the other than it leaves.
+/// Returns whether of two effects the one takes back more of the other than it leaves.
 pub(crate) fn take_back(one: &[f64], other: &[f64]) -> bool {
     let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
     rms(&sum) < TAKEN_BACK * rms(one).min(rms(other))
@@ -190,7 +190,7 @@ fn begin(problem: &Problem, residual: &[f64], model: &mut Model, kind: &Kind) {
     }
 }
 
-/// The time of a step by trying every group around.
+/// Returns the time of a step by trying every group around.
 fn refine_step(problem: &Problem, fitted: Fitted) -> Fitted {
     let Some(index) = fitted.model.parts.iter().position(|part| part.kind.has_instant()) else {
         return fitted;

@@ -151,7 +151,7 @@ impl Search<'_> {
         is_better
     }
 
-    /// The best model on a way from `start` that is better than the `own`.
+    /// Returns the best model on a way from `start` that is better than the `own`.
     fn floated(&self, start: &Fitted, own: &Assessed, way: Way) -> Option<Assessed> {
         let mut here = start.clone();
         let mut best: Option<Assessed> = None;
@@ -181,7 +181,7 @@ impl Search<'_> {
         Assessed { fitted, score, left_out }
     }
 
-    /// Whether one model is clearly better than another one and foresees better; or as good with no more
+    /// Returns whether one model is clearly better than another one and foresees better; or as good with no more
     /// values, and foresees better beyond doubt. No terms of it may cancel, and it must be identified.
     fn is_better(&self, one: &Assessed, other: &Assessed) -> bool {
         let gap = other.score - one.score;
@@ -197,7 +197,7 @@ impl Search<'_> {
         is_better && is_identified && !self.has_terms_that_cancel(&one.fitted)
     }
 
-    /// What each term pays for the choice among all causes.
+    /// Returns what each term pays for the choice among all causes.
     fn price(&self) -> f64 {
         let fitted = &self.fitted;
         let causes = possible(self.problem, &fitted.model, &fitted.residual);
@@ -217,7 +217,7 @@ impl Search<'_> {
         all.min_by(|a, b| way.by.of(a).total_cmp(&way.by.of(b)))
     }
 
-    /// A model with a new lagged law from wherever that stood when the record began, if that is worth a term.
+    /// Returns a model with a new lagged law from wherever that stood when the record began, if that is worth a term.
     fn with_its_start(&self, new: Extension, price: f64) -> Extension {
         let model = &new.fitted.model;
         let is_late = new.cause.has_time_constant() && !new.cause.is_from_the_start();
@@ -237,7 +237,7 @@ impl Search<'_> {
         }
     }
 
-    /// Whether two terms take each other back: rich terms that cancel follow whatever a law leaves.
+    /// Returns whether two terms take each other back: rich terms that cancel follow whatever a law leaves.
     fn has_terms_that_cancel(&self, fitted: &Fitted) -> bool {
         let causes = fitted.model.parts.iter().map(|part| &part.kind);
         let effects: Vec<Vec<f64>> =
@@ -246,7 +246,7 @@ impl Search<'_> {
         pairs.any(|(a, b)| take_back(&effects[a], &effects[b]))
     }
 
-    /// The same terms, each time constant looked for again beside the others: a fit stays where it began.
+    /// Returns the same terms, each time constant looked for again beside the others: a fit stays where it began.
     fn begun_anew(&self, new: Extension) -> Extension {
         let Extension { cause, mut fitted, .. } = new;
         let parts: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
@@ -261,7 +261,7 @@ impl Search<'_> {
         Extension::new(self.problem, cause, fitted)
     }
 
-    /// A model without the terms that cost more than they explain; the one that has just come stays.
+    /// Returns a model without the terms that cost more than they explain; the one that has just come stays.
     fn without_what_is_not_needed(&self, new: Extension, way: Way) -> Fitted {
         let mut here = new;
         loop {

@@ -27,7 +27,7 @@ pub(crate) enum LackOfFit {
 }
 
 impl LackOfFit {
-    /// Whether what is left goes with these.
+    /// Returns whether what is left goes with these.
     pub(crate) fn goes_with(&self, inputs: &Inputs) -> bool {
         matches!(self, Self::GoesWith(left) if left == inputs)
     }

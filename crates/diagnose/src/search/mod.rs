@@ -94,12 +94,12 @@ pub(crate) struct Found {
     pub folds: Folds,
 }
 
-/// The model to begin with: an axis's measurement has an arbitrary zero.
+/// Returns the model to begin with: an axis's measurement has an arbitrary zero.
 pub(crate) fn start(data: &Data) -> Model {
     Model { parts: Vec::<Part>::new(), constant_um: data.quantity.axis().map(|_| 0.0) }
 }
 
-/// The search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
+/// Returns the search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
 /// is the answer to go on from where it is better than what is found now. `progress` hears what is being tried, and how
 /// far the search has come (0…1).
 pub(crate) fn search(
@@ -190,7 +190,7 @@ impl Search<'_> {
         }
     }
 
-    /// Whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
+    /// Returns whether a hit may be taken. One slow misfit may be explained that the likelihood would leave to
     /// the noise (only the squares see it); with that the few independent rows that it rests on are
     /// used up, and a second one would follow the wander of the first one's remainder.
     fn is_open(&self, hit: &Hit) -> bool {
@@ -214,7 +214,7 @@ impl Search<'_> {
         }
     }
 
-    /// What to try after a round that took none of `tried`: two causes that hide each other, the next
+    /// Returns what to try after a round that took none of `tried`: two causes that hide each other, the next
     /// stage, sharper limits, two terms ahead, what takes two inputs together, what goes with the clock alone; in this order.
     fn widen(
         &mut self,
@@ -318,7 +318,7 @@ impl Search<'_> {
         lack_of_fit
     }
 
-    /// The outcome, with what fires on what is left beside `lack_of_fit`.
+    /// Returns the outcome, with what fires on what is left beside `lack_of_fit`.
     fn outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> Found {
         let (problem, fitted) = (self.problem, self.fitted);
         let scanned = scan(problem, &fitted, &structure(problem), self.limits);

@@ -82,7 +82,7 @@ impl Search<'_> {
         }
     }
 
-    /// Whether `other` in a term's place leaves less on left-out blocks: clearly less, where what the
+    /// Returns whether `other` in a term's place leaves less on left-out blocks: clearly less, where what the
     /// model has already gives way to something that it has not.
     pub(crate) fn predicts_better(&self, cause: &Kind, other: &Extension) -> bool {
         let most = if degrees(&other.fitted.model) < degrees(&self.fitted.model) {
@@ -119,7 +119,7 @@ impl Search<'_> {
         true
     }
 
-    /// The best pair in the place of a term with a BIC below `most`.
+    /// Returns the best pair in the place of a term with a BIC below `most`.
     fn pair_in_place(&self, index: usize, most: f64) -> Option<Pair> {
         // Two of what is farther away are no better than one of what is near.
         let tier = self.added[index].cause.tier();

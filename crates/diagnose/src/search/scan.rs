@@ -68,7 +68,7 @@ pub(crate) struct Scan {
     pub likelihood_limit: Option<f64>,
 }
 
-/// What a part at these nonlinear values would add, in groups; whether its size is fixed.
+/// Returns what a part at these nonlinear values would add, in groups; whether its size is fixed.
 fn effect(
     problem: &Problem,
     model: &Model,
@@ -197,7 +197,7 @@ impl Hit {
     }
 }
 
-/// Every candidate at every setting, with and without a constant.
+/// Returns every candidate at every setting, with and without a constant.
 fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Trial> {
     let rows = problem.groups.len();
     let here = problem.predicted(model);
@@ -241,7 +241,7 @@ fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Tri
     trials
 }
 
-/// The noises that a candidate may choose from. Where nothing is decided by it, the noise as it is and
+/// Returns the noises that a candidate may choose from. Where nothing is decided by it, the noise as it is and
 /// its extremes are enough.
 fn noises(problem: &Problem, own: Noise, draw: Draw) -> Vec<Noise> {
     if draw == Draw::Not {
@@ -263,7 +263,7 @@ fn noises(problem: &Problem, own: Noise, draw: Draw) -> Vec<Noise> {
     noises
 }
 
-/// The value that the largest of a search on noise passes with the chance [`FALSE_ALARM`], by the
+/// Returns the value that the largest of a search on noise passes with the chance [`FALSE_ALARM`], by the
 /// moments of a Gumbel distribution.
 fn gumbel_limit(values: impl Iterator<Item = f64>) -> f64 {
     const EULER: f64 = 0.577_215_664_901_532_9;

@@ -63,7 +63,7 @@ impl Search<'_> {
         }
     }
 
-    /// The best model with the path `late` for the path `plain` and one other term less: that term,
+    /// Returns the best model with the path `late` for the path `plain` and one other term less: that term,
     /// and the model.
     fn best_lag(&self, plain: &Kind, late: &Kind) -> Option<(Kind, Extension)> {
         let [low, high] = self.problem.bounds.time_constant_s;
@@ -145,7 +145,7 @@ impl Search<'_> {
         });
     }
 
-    /// The best laws in the place of a table.
+    /// Returns the best laws in the place of a table.
     fn best_laws(&self, table: &Kind) -> Option<Laws> {
         let own = self.problem.data.quantity.axis();
         let laws: Vec<Kind> = [
@@ -197,7 +197,7 @@ impl Search<'_> {
         }
     }
 
-    /// The path to leave of the first two that take each other back, and the model without it.
+    /// Returns the path to leave of the first two that take each other back, and the model without it.
     fn stacked(&self) -> Option<(usize, Fitted)> {
         let column = |index: usize| self.added[index].cause.heat_path().map(|path| path.column);
         let effects: Vec<Vec<f64>> = self
@@ -242,7 +242,7 @@ impl Search<'_> {
         }
     }
 
-    /// Whether `other` foresees left-out blocks as well as a model that leaves `own` there: within the
+    /// Returns whether `other` foresees left-out blocks as well as a model that leaves `own` there: within the
     /// standard error of the difference, or by a share that does not matter.
     pub(crate) fn foresees_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
         let there = self.foresight(other);
@@ -329,7 +329,7 @@ impl Search<'_> {
     }
 }
 
-/// Whether most of what is gained between `before` and `after`, both in groups, is gained at a single reading.
+/// Returns whether most of what is gained between `before` and `after`, both in groups, is gained at a single reading.
 pub(crate) fn hangs_on_one_reading(before: &[f64], after: &[f64]) -> bool {
     let gains = || before.iter().zip(after).map(|(before, after)| before * before - after * after);
     2.0 * gains().fold(0.0, f64::max) > gains().sum::<f64>()

@@ -21,7 +21,7 @@ use crate::{
 /// that were found for the same noise.
 const WIDTHS: [f64; 3] = [1.0, 2.0, 4.0];
 
-/// Whether the model `without` a lag foresees as well as the one with it, which leaves `left_out` there, if
+/// Returns whether the model `without` a lag foresees as well as the one with it, which leaves `left_out` there, if
 /// its thermometers are smoothed as much.
 pub(crate) fn only_smooths(
     problem: &Problem,
@@ -33,8 +33,8 @@ pub(crate) fn only_smooths(
     smoothed_for(problem, part, |smooth| !against(folds, smooth, without, left_out).is_better())
 }
 
-/// Whether it holds for the data with thermometers that are smoothed as much as `part` does it, at any width; not
-/// where it has no lag.
+/// Returns whether it holds for the data with thermometers that are smoothed as much as `part` does it, at any width;
+/// not where it has no lag.
 fn smoothed_for(problem: &Problem, part: &Part, holds: impl Fn(&Problem) -> bool + Sync) -> bool {
     // A lag within a step smooths neighbours.
     let lag_s = part.values.first().map_or(0.0, |lag_s| lag_s.max(step_s(problem)));
@@ -46,12 +46,12 @@ fn smoothed_for(problem: &Problem, part: &Part, holds: impl Fn(&Problem) -> bool
     has_memory(part) && on_all_cores(&WIDTHS, problem.is_large(), of).contains(&true)
 }
 
-/// What the lag leaves less than the model `without` it, where the thermometers are smooth.
+/// Returns what the lag leaves less than the model `without` it, where the thermometers are smooth.
 fn against(folds: &Folds, smooth: &Problem, without: &Model, left_out: &[f64]) -> Paired {
     folds.paired(&folds.left_out(smooth, without), left_out)
 }
 
-/// Whether the first value of a term is how late a thermometer, or what it shows, is.
+/// Returns whether the first value of a term is how late a thermometer, or what it shows, is.
 fn has_memory(part: &Part) -> bool {
     let is_of_heat = |effect: &Effect| {
         effect.late().is_some() || effect.has_time_constant() && !effect.is_in_time()
@@ -68,8 +68,8 @@ impl Search<'_> {
         }
     }
 
-    /// The first term that only smooths, also by all that is known of these rows, and the model without it. What
-    /// these do not tell from smoothing must foresee better beyond doubt: noise that is smoothed in one way or in
+    /// Returns the first term that only smooths, also by all that is known of these rows, and the model without it.
+    /// What these do not tell from smoothing must foresee better beyond doubt: noise that is smoothed in one way or in
     /// another makes a small difference by chance.
     fn smoothing(&self) -> Option<(usize, Fitted)> {
         let parts = &self.fitted.model.parts;

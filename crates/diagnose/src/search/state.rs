@@ -160,22 +160,22 @@ impl<'p> Search<'p> {
         bic(self.problem, &self.fitted)
     }
 
-    /// What `fitted` leaves on left-out blocks: RMS, in µm.
+    /// Returns what `fitted` leaves on left-out blocks: RMS, in µm.
     pub(crate) fn left_out_um(&self, fitted: &Fitted) -> f64 {
         left_out_um(self.problem, &self.folds, &fitted.model)
     }
 
-    /// What `fitted` leaves on left-out blocks, in each group, in µm.
+    /// Returns what `fitted` leaves on left-out blocks, in each group, in µm.
     pub(crate) fn foresight(&self, fitted: &Fitted) -> Vec<f64> {
         self.folds.left_out(self.problem, &fitted.model)
     }
 
-    /// The model in work without a term.
+    /// Returns the model in work without a term.
     pub(crate) fn without(&self, cause: &Kind) -> Fitted {
         fit(self.problem, &without(self.problem, &self.fitted.model, cause), None)
     }
 
-    /// The model in work without a term, and with other causes in its place.
+    /// Returns the model in work without a term, and with other causes in its place.
     pub(crate) fn replacements(&self, cause: &Kind, most: usize) -> Replacements {
         replacements(self.problem, &self.fitted, cause, most)
     }
@@ -192,7 +192,7 @@ impl<'p> Search<'p> {
         self.added.remove(index);
     }
 
-    /// Whether several terms ahead have never been looked at from these causes; they have now. What another
+    /// Returns whether several terms ahead have never been looked at from these causes; they have now. What another
     /// model could not be made better by says nothing of this one.
     pub(crate) fn is_new_to_look_ahead(&mut self) -> bool {
         let here: Vec<Kind> = self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();

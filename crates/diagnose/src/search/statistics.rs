@@ -171,7 +171,7 @@ impl Projector {
         DMatrix::from_fn(self.left.nrows(), white.ncols(), of)
     }
 
-    /// The gain of each trial on each list, and what of it does not depend on them where it is not `known`.
+    /// Returns the gain of each trial on each list, and what of it does not depend on them where it is not `known`.
     fn gains(
         &self,
         whitener: &Whitener,
@@ -227,7 +227,7 @@ fn matrix(columns: &[Vec<f64>]) -> DMatrix<f64> {
     DMatrix::from_iterator(rows, columns.len(), columns.iter().flatten().copied())
 }
 
-/// What a change of fixed size, the first column, and then the others explain of each list.
+/// Returns what a change of fixed size, the first column, and then the others explain of each list.
 fn explained_by_fixed(g: &DMatrix<f64>, whole: &[f64], b: &DMatrix<f64>) -> Vec<f64> {
     let others = g.nrows() - 1;
     let of_change = b.row(0).iter().map(|b| 2.0 * b - g[(0, 0)]).collect();

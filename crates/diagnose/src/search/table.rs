@@ -55,20 +55,20 @@ impl Search<'_> {
     }
 }
 
-/// Whether a cause goes with the axis's own position and direction alone; what the machine file has is
+/// Returns whether a cause goes with the axis's own position and direction alone; what the machine file has is
 /// its own.
 pub(crate) fn is_of_own_axis(kind: &Kind) -> bool {
     kind.stated().is_none() && kind.cause().is_some_and(|it| it.is_along_own_axis())
 }
 
-/// The model without what goes with the axis's own position and direction alone.
+/// Returns the model without what goes with the axis's own position and direction alone.
 pub(crate) fn without_own_axis(model: &Model) -> Model {
     let mut without = model.clone();
     without.parts.retain(|part| !is_of_own_axis(&part.kind));
     without
 }
 
-/// The terms that the repeats call for beside what `without` has.
+/// Returns the terms that the repeats call for beside what `without` has.
 fn decided(targets: &Targets, search: &Search<'_>, without: &Fitted) -> Option<Vec<Part>> {
     let problem = search.problem;
     let readings = beside_own_axis(targets, problem, &without.model);
@@ -78,7 +78,7 @@ fn decided(targets: &Targets, search: &Search<'_>, without: &Fitted) -> Option<V
     targets.terms(decision.taken.ok()?)
 }
 
-/// The readings with what `model` leaves of each group, which are rows here.
+/// Returns the readings with what `model` leaves of each group, which are rows here.
 pub(crate) fn beside_own_axis(targets: &Targets, problem: &Problem, model: &Model) -> Vec<Reading> {
     let mut residual = vec![f64::NAN; problem.data.rows];
     let rows = problem.groups.first_row.iter();

@@ -9,13 +9,14 @@ const STRONG: f64 = 6.0;
 
 /// A machine that is tried.
 pub trait Tried {
-    /// What is wrong with it.
+    /// Returns what is wrong with it.
     fn wrong(&self) -> String;
-    /// What its cause may be called at the beginning of its name.
+    /// Returns what its cause may be called at the beginning of its name.
     fn truth(&self) -> &'static [&'static str];
-    /// What is known after a short run.
+    /// Returns what is known after a short run.
     fn begun(&self) -> Diagnosis;
-    /// The planned run, as it is recorded, and the two fixed cycles on the same morning, so that chance is the same.
+    /// Returns the planned run, as it is recorded, and the two fixed cycles on the same morning, so that chance is the
+    /// same.
     fn planned(&self, next: &Next) -> RunFile;
     fn fixed(&self) -> [RunFile; 2];
 }

@@ -8,7 +8,7 @@ use trueup_twin::trial::{RATED_RPM, Trial, Wrong};
 
 use crate::needed::{Tried, needed};
 
-/// What is recorded of a machine while it does this from cold, on the morning `day`.
+/// Returns what is recorded of a machine while it does this from cold, on the morning `day`.
 fn recorded(trial: &Trial, stretches: &[Stretch], day: u64) -> RunFile {
     let pieces: Vec<(f64, f64)> = stretches.iter().map(|it| (it.rpm, it.minutes)).collect();
     let csv = trial.run(&pieces, day);
@@ -33,7 +33,7 @@ impl Tried for Trial {
         }
     }
 
-    /// A quarter of an hour at full speed, from cold: what a user has who begins.
+    /// Returns a quarter of an hour at full speed, from cold: what a user has who begins.
     fn begun(&self) -> Diagnosis {
         let first = recorded(self, &[at(RATED_RPM, 15.0)], 1);
         let machine =
@@ -45,7 +45,8 @@ impl Tried for Trial {
         recorded(self, &next.stretches, 2)
     }
 
-    /// The cycles of ISO 230-3 for a spindle: one speed for four hours or a spectrum of speeds, then an hour of rest.
+    /// Returns the cycles of ISO 230-3 for a spindle: one speed for four hours or a spectrum of speeds, then an hour of
+    /// rest.
     fn fixed(&self) -> [RunFile; 2] {
         let spectrum = [0.25, 0.5, 0.75, 1.0].map(|share| at(share * RATED_RPM, 60.0));
         let rest = at(0.0, 60.0);

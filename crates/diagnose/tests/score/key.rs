@@ -14,7 +14,7 @@ pub struct True {
 }
 
 impl True {
-    /// True by its name.
+    /// Returns true by its name.
     pub const fn named(cause: &'static str) -> Self {
         Self { cause, inside: None }
     }
@@ -55,7 +55,7 @@ pub struct Told {
 }
 
 impl Key {
-    /// What `report` says.
+    /// Returns what `report` says.
     pub fn of(&self, report: &Report) -> Told {
         let names = |is_wanted: &dyn Fn(&Finding) -> bool| {
             let findings = report.findings.iter().filter(|finding| is_wanted(finding));

@@ -18,7 +18,7 @@ pub struct Interval {
 }
 
 impl Interval {
-    /// Whether what was hidden is inside, each end `times` as far from what was found.
+    /// Returns whether what was hidden is inside, each end `times` as far from what was found.
     pub fn is_inside(&self, times: f64) -> bool {
         let [low, high] = self.ci95.map(|end| self.found + times * (end - self.found));
         (low..=high).contains(&self.hidden)
@@ -131,7 +131,7 @@ impl Told {
         Self { verdict: diagnosis.report.verdict.name().into(), findings: findings.collect() }
     }
 
-    /// Whether a finding says without a physical name what a law without one depends on.
+    /// Returns whether a finding says without a physical name what a law without one depends on.
     fn is_of_unnamed(it: &Named, truth: &Truth) -> bool {
         let inputs: Vec<&str> = truth
             .effects
@@ -143,7 +143,7 @@ impl Told {
         it.cause == "dependence" && !it.columns.is_empty() && it.columns.iter().all(is_input)
     }
 
-    /// Whether every hidden cause is named as it may be.
+    /// Returns whether every hidden cause is named as it may be.
     pub fn is_right(&self, truth: &Truth) -> bool {
         let answers: Vec<&str> = truth.effects.iter().map(|effect| effect.cause.answer()).collect();
         let is_claimed =
@@ -184,7 +184,7 @@ impl Told {
         }
     }
 
-    /// Whether a cause is claimed that was not hidden.
+    /// Returns whether a cause is claimed that was not hidden.
     pub fn is_wrong(&self, truth: &Truth) -> bool {
         let is_hidden =
             |name: &str| truth.effects.iter().any(|effect| effect.cause.answer() == name);
@@ -200,7 +200,7 @@ fn columns(finding: &Finding) -> Vec<String> {
     both.chain(range).cloned().collect()
 }
 
-/// What `diagnosis` is worth, by the truth of `challenge`.
+/// Returns what `diagnosis` is worth, by the truth of `challenge`.
 pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
@@ -329,7 +329,7 @@ impl Row {
         (inside as f64 / all.len().max(1) as f64, all.len())
     }
 
-    /// One line of the card.
+    /// Returns one line of the card.
     pub fn line(&self, name: &str) -> String {
         let (median, worst) = self.gain();
         let (within, count) = self.within();

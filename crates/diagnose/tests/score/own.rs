@@ -15,7 +15,7 @@ pub fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
     (dot(&left, &left) / left.len() as f64).sqrt()
 }
 
-/// What is left of `um` beside columns that are at right angles to each other.
+/// Returns what is left of `um` beside columns that are at right angles to each other.
 fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
     let mut left = um.to_vec();
     for column in basis {

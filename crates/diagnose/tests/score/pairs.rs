@@ -43,7 +43,7 @@ pub fn causes() -> Vec<Hidden> {
     Hidden::ALL.iter().copied().filter(is_named).collect()
 }
 
-/// What is wrong with the values of an answer: an interval that is far off, a gain that is missing.
+/// Returns what is wrong with the values of an answer: an interval that is far off, a gain that is missing.
 pub fn faults(score: &Score) -> Vec<String> {
     let far = score.intervals.iter().filter(|it| !it.is_inside(STRETCHED));
     let mut faults: Vec<String> = far.map(|it| format!("{it:?}")).collect();
@@ -65,7 +65,7 @@ pub struct Judged {
 }
 
 impl Pair {
-    /// All whose causes stand beside each other.
+    /// Returns all whose causes stand beside each other.
     pub fn all() -> Vec<Self> {
         let all = causes();
         let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));
@@ -77,7 +77,7 @@ impl Pair {
         format!("{}+{}", self.0.name(), self.1.name())
     }
 
-    /// The answer to the machine of `seed` with both; `None` where nobody could tell them by its record.
+    /// Returns the answer to the machine of `seed` with both; `None` where nobody could tell them by its record.
     pub fn judged(self, seed: u64) -> Option<Judged> {
         let Self(a, b) = self;
         let challenge = draw_pair(a, b, RATIO, seed).expect("they stand beside each other");
@@ -92,7 +92,7 @@ impl Pair {
         Some(Judged { score, is_right })
     }
 
-    /// Whether neither is a part of the other, and each does as much as the noise that the other could
+    /// Returns whether neither is a part of the other, and each does as much as the noise that the other could
     /// not do.
     fn can_be_told(self, challenge: &Challenge) -> bool {
         let [a, b] = &challenge.truth.effects[..] else { return false };

@@ -16,7 +16,7 @@ use crate::{
     own::own_rms,
 };
 
-/// The causes that may be named for `fault`: one or two, by physics. They were written down before the
+/// Returns the causes that may be named for `fault`: one or two, by physics. They were written down before the
 /// first diagnosis of such a machine, and are not changed to fit a result.
 #[must_use]
 pub fn causes(fault: Fault) -> &'static [&'static str] {
@@ -70,7 +70,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// The machine of `seed` with 1 to 5 faults.
+    /// Returns the machine of `seed` with 1 to 5 faults.
     pub fn draw(seed: u64) -> Self {
         let mut stream = Stream::new(seed, "physical faults");
         let count = 1 + (seed % 5) as usize;
@@ -86,7 +86,7 @@ impl Case {
         case
     }
 
-    /// The machine of `seed` without a fault.
+    /// Returns the machine of `seed` without a fault.
     pub fn healthy(seed: u64) -> Self {
         Self::healthy_of(Kind::ALL[(seed % Kind::ALL.len() as u64) as usize], seed)
     }
@@ -128,7 +128,7 @@ impl Case {
         own_rms(&self.faults[of].um, &others) / self.noise_um
     }
 
-    /// The record of a day, as a run file.
+    /// Returns the record of a day, as a run file.
     pub fn record(&self, day: u64) -> String {
         // Another day has another gauge: what is corrected is the machine.
         let own = self.faults.iter().filter(|it| day == 0 || it.fault != Fault::GaugeDrift);
@@ -156,13 +156,13 @@ impl Case {
         left.into_iter().map(|it| it - zero).collect()
     }
 
-    /// What is right to say.
+    /// Returns what is right to say.
     pub fn key(&self) -> Key {
         let needed: Vec<&[&str]> = self.faults.iter().map(|drawn| causes(drawn.fault)).collect();
         Key { allowed: needed.concat().into_iter().map(True::named).collect(), needed }
     }
 
-    /// What `trueup diagnose` says of the first day, and what that is worth on the second.
+    /// Returns what `trueup diagnose` says of the first day, and what that is worth on the second.
     pub fn judged(&self) -> Judged {
         let path = Path::new("machine.toml");
         let machine =
@@ -198,13 +198,13 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// Whether each fault does as much as the noise that no mixture of the others could do: where two
+    /// Returns whether each fault does as much as the noise that no mixture of the others could do: where two
     /// move the tool in the same way, nobody can tell them by this record.
     pub fn can_be_told(&self) -> bool {
         self.faults.iter().all(|(.., own)| *own >= 1.0)
     }
 
-    /// Whether the second day is worse than with the file as it was.
+    /// Returns whether the second day is worse than with the file as it was.
     pub fn is_harmed(&self) -> bool {
         self.after_um > HARM * self.before_um
     }

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use trueup_twin::hidden::{Challenge, Effect, Expected, Hidden, draw, draw_pair};
 
-/// What the file may have: causes with a name whose term a board corrects.
+/// Returns what the file may have: causes with a name whose term a board corrects.
 pub fn firsts() -> impl Iterator<Item = Hidden> {
     let is_a_term = |cause: &Hidden| {
         cause.expected() == Expected::Compensated && cause.name() == cause.answer()
@@ -16,7 +16,7 @@ pub fn firsts() -> impl Iterator<Item = Hidden> {
     Hidden::ALL.iter().copied().filter(is_a_term)
 }
 
-/// All pairs (in the file, newly hidden) that one machine can have.
+/// Returns all pairs (in the file, newly hidden) that one machine can have.
 pub fn pairs() -> Vec<(Hidden, Hidden)> {
     let is_named =
         |cause: &&Hidden| matches!(cause.expected(), Expected::Compensated | Expected::Reported);
@@ -24,7 +24,7 @@ pub fn pairs() -> Vec<(Hidden, Hidden)> {
     firsts().flat_map(|a| all().map(move |b| (a, b))).filter(|(a, b)| a.stands_beside(*b)).collect()
 }
 
-/// The challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
+/// Returns the challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
 /// `new`. `None` where no machine has both.
 pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {
     let mut challenge = draw_pair(known, new, ratio, seed)?;
@@ -41,7 +41,7 @@ pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<Chall
     Some(challenge)
 }
 
-/// The challenge with `cause` in the data and in the file, where it has half of its size: what is not
+/// Returns the challenge with `cause` in the data and in the file, where it has half of its size: what is not
 /// in the file is about `ratio` times the noise.
 pub fn aged(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
@@ -103,7 +103,7 @@ fn halve(effect: &mut Effect, challenge: &Challenge) {
     }
 }
 
-/// The number that the file has under `key`; 0 where it has none.
+/// Returns the number that the file has under `key`; 0 where it has none.
 fn believed(machine: &str, key: &str) -> f64 {
     let mut lines = machine.lines();
     let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(" = "));

@@ -91,7 +91,7 @@ fn warmup() -> Key {
 }
 
 impl Shipped {
-    /// What is said of the record of `seed`.
+    /// Returns what is said of the record of `seed`.
     pub fn diagnosed(&self, seed: u64) -> Diagnosis {
         let scenario = Scenario::parse(self.scenario, Path::new(self.name)).expect("it is shipped");
         let machine =

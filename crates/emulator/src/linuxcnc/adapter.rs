@@ -98,13 +98,13 @@ impl Adapter {
         (self.passed, lock(&self.shared).heard)
     }
 
-    /// Whether the CNC has sent something within `time`.
+    /// Returns whether the CNC has sent something within `time`.
     #[must_use]
     pub fn has_heard_within(&self, time: Duration) -> bool {
         lock(&self.shared).last_heard.is_some_and(|heard| heard.elapsed() < time)
     }
 
-    /// What the CNC has sent, as much of it as fits a block.
+    /// Returns what the CNC has sent, as much of it as fits a block.
     #[must_use]
     pub fn take(&self) -> [Option<Frame>; FRAMES] {
         let mut shared = lock(&self.shared);

@@ -113,7 +113,7 @@ impl Bridge {
         }
     }
 
-    /// A second of the board, in seconds of the wall, while the axes move.
+    /// Returns a second of the board, in seconds of the wall, while the axes move.
     #[must_use]
     pub fn slower(&self) -> u32 {
         match self.board {
@@ -181,7 +181,7 @@ impl Bridge {
         }
     }
 
-    /// Whether the CNC has sent something within `time`, where that is known.
+    /// Returns whether the CNC has sent something within `time`, where that is known.
     #[must_use]
     pub fn has_heard_within(&self, time: Duration) -> bool {
         match &self.board {
@@ -211,7 +211,7 @@ impl Bridge {
         Ok(Self { board, ..self })
     }
 
-    /// What the board has logged since it was last asked.
+    /// Returns what the board has logged since it was last asked.
     #[must_use]
     pub fn take_log(&self) -> Vec<String> {
         match &self.board {

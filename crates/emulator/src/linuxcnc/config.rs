@@ -50,7 +50,7 @@ pub mod phase {
 /// How often the position of a moving axis is sent, in ms of the board.
 const POSITION_PERIOD_MS: u32 = 2;
 
-/// The .ini. `port` is where the bridge is; `here` is the session's folder. A busy computer answers late, so
+/// Returns the .ini. `port` is where the bridge is; `here` is the session's folder. A busy computer answers late, so
 /// LinuxCNC's parts wait for each other.
 #[must_use]
 pub fn ini(port: &str, here: &str, slower: u32) -> String {
@@ -137,7 +137,7 @@ HOME_LATCH_VEL = 0
 HOME_SEQUENCE = 0
 ";
 
-/// The machine: joints that are where they are told to be.
+/// Returns the machine: joints that are where they are told to be.
 #[must_use]
 pub fn machine_hal() -> String {
     let mut text = String::from(
@@ -159,7 +159,7 @@ setp spindle.0.at-speed 1
     text
 }
 
-/// The bridge's wires, with the angles of the head; a slow bridge's slew limit is as slow.
+/// Returns the bridge's wires, with the angles of the head; a slow bridge's slew limit is as slow.
 #[must_use]
 pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
     let period = "--position-period-ms";
@@ -171,7 +171,7 @@ pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
     shipped.replacen(period, &format!("--any-calibration --rotary {slew}{period}"), 1)
 }
 
-/// The angles and the load for the bridge, and the writer of the servo cycles.
+/// Returns the angles and the load for the bridge, and the writer of the servo cycles.
 #[must_use]
 pub fn loop_hal() -> String {
     let mut text = format!(
@@ -206,7 +206,7 @@ addf sampler.0 servo-thread
     text
 }
 
-/// The diagonal, the arc and the staircase.
+/// Returns the diagonal, the arc and the staircase.
 #[must_use]
 pub fn path(pass: u32, slower: u32) -> String {
     let slow = f64::from(slower);
@@ -252,7 +252,7 @@ M68 E1 Q{stairs}
     text + "M68 E1 Q0\nM2\n"
 }
 
-/// The warm-up, which lasts until the machine's clock says that it is over, and the rotary axes with
+/// Returns the warm-up, which lasts until the machine's clock says that it is over, and the rotary axes with
 /// the warm spindle.
 #[must_use]
 pub fn warm(pass: u32, slower: u32) -> String {

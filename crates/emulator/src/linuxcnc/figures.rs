@@ -95,7 +95,7 @@ impl Check {
         Self { name, before_um: None, after_um: None, value, unit, limit, at_least: false }
     }
 
-    /// Whether it is reached; a figure that is none is not.
+    /// Returns whether it is reached; a figure that is none is not.
     #[must_use]
     pub fn is_met(&self) -> bool {
         if self.at_least { self.value >= self.limit } else { self.value <= self.limit }
@@ -271,7 +271,7 @@ fn checks(
 }
 
 impl Figures {
-    /// The figures of a run.
+    /// Returns the figures of a run.
     ///
     /// # Errors
     /// A part of the run is missing.
@@ -359,7 +359,7 @@ impl Figures {
         u32::try_from(self.checks.len()).context("a handful")
     }
 
-    /// The table for a machinist.
+    /// Returns the table for a machinist.
     #[must_use]
     pub fn table(&self) -> String {
         let mut text = String::from(

@@ -54,7 +54,7 @@ pub struct Headless {
 }
 
 impl Headless {
-    /// An empty folder for the configuration; it is also the first on the search path.
+    /// Returns an empty folder for the configuration; it is also the first on the search path.
     ///
     /// # Errors
     /// It cannot be made.
@@ -166,7 +166,7 @@ impl Headless {
         self.act("begin", "program", path.to_string_lossy()).map(drop)
     }
 
-    /// Whether the program still runs.
+    /// Returns whether the program still runs.
     ///
     /// # Errors
     /// LinuxCNC has stopped it.
@@ -257,7 +257,7 @@ impl Headless {
         Ok(said.as_str().unwrap_or_default().to_owned())
     }
 
-    /// What the real-time `sampler` writes down, a line for each servo cycle, while the guard lives.
+    /// Returns what the real-time `sampler` writes down, a line for each servo cycle, while the guard lives.
     ///
     /// # Errors
     /// It cannot be started.
@@ -273,13 +273,13 @@ impl Headless {
         Ok((Sampler(child), lines))
     }
 
-    /// The end of what it and its parts have said so far.
+    /// Returns the end of what it and its parts have said so far.
     #[must_use]
     pub fn said(&self) -> String {
         said(self.folder())
     }
 
-    /// The folder of its session: the .ini, programs and logs.
+    /// Returns the folder of its session: the .ini, programs and logs.
     #[must_use]
     pub fn folder(&self) -> &Path {
         self.folder.path()
@@ -388,7 +388,7 @@ fn end_group(child: &mut Child) {
     }
 }
 
-/// A command in the folder's own surroundings; LinuxCNC refuses to run as root.
+/// Returns a command in the folder's own surroundings; LinuxCNC refuses to run as root.
 fn unprivileged(program: &Path, folder: &Path) -> Result<Command> {
     let mut command = if is_root()? {
         let mut command = Command::new("setpriv");

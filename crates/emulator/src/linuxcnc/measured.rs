@@ -97,7 +97,7 @@ pub struct Measured {
 const TIMES: [&str; 4] = ["lag_s", "time_constant_s", "warm_s", "cool_s"];
 
 impl Measured {
-    /// The machine file of a machine that lives so many times faster.
+    /// Returns the machine file of a machine that lives so many times faster.
     ///
     /// # Errors
     /// A time is not a number.
@@ -115,7 +115,7 @@ impl Measured {
     }
 }
 
-/// The machine in the loop, as a scenario that does nothing by itself.
+/// Returns the machine in the loop, as a scenario that does nothing by itself.
 ///
 /// # Errors
 /// The project's own file is broken.
@@ -124,7 +124,7 @@ pub fn twin() -> Result<Scenario> {
         .and_then(|text| Ok(Scenario::parse(&text, Path::new("machine.toml"))?))
 }
 
-/// The machine, with what is measured and what is done.
+/// Returns the machine, with what is measured and what is done.
 fn scenario(measure: &[&str], repeat: u32, segments: &str) -> Result<String> {
     Ok(format!(
         "name = \"the machine in the loop\"\nmeasure = {}\ninterval_s = 20.0\nrepeat = {repeat}\nhead = [\"c\", \

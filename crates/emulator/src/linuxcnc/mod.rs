@@ -232,7 +232,7 @@ pub fn run_and_publish(on: On) -> Result<Option<u32>> {
     figures.check().map(Some)
 }
 
-/// The calibrations for real time and for compressed time, which differ in the limits that count
+/// Returns the calibrations for real time and for compressed time, which differ in the limits that count
 /// board time.
 fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
     let mut slow: Machine = MachineFile::parse(&measured.text, Path::new("extended.toml"))?;
@@ -242,7 +242,7 @@ fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
     Ok([blob(&measured.machine)?, blob(&slow)?])
 }
 
-/// The images for the machine, and for the same machine that lives faster, which differ in the time constants.
+/// Returns the images for the machine, and for the same machine that lives faster, which differ in the time constants.
 fn images(measured: &Measured) -> Result<[PathBuf; 2]> {
     let folder = setup::root().join(On::Chip.folder());
     fs::create_dir_all(&folder)?;

@@ -7,7 +7,7 @@ use super::{
     figures::{Check, ErrorCurve, Figures, Stair},
 };
 
-/// The page.
+/// Returns the page.
 #[must_use]
 pub fn page(figures: &Figures) -> String {
     let mut page = Page::new("Where the tool tip really was, without and with the bridge");

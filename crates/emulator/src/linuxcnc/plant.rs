@@ -156,7 +156,7 @@ impl Plant {
         &self.address
     }
 
-    /// A second of the machine in motion, in seconds of the wall.
+    /// Returns a second of the machine in motion, in seconds of the wall.
     #[must_use]
     pub fn slower(&self) -> u32 {
         self.slower
@@ -187,13 +187,13 @@ impl Plant {
         self.shared.swap.store(true, Ordering::Relaxed);
     }
 
-    /// The newest servo cycle.
+    /// Returns the newest servo cycle.
     #[must_use]
     pub fn latest(&self) -> Option<Cycle> {
         lock(&self.shared.cycles).last().copied()
     }
 
-    /// What the board has logged since it was last asked.
+    /// Returns what the board has logged since it was last asked.
     #[must_use]
     pub fn take_log(&self) -> Vec<String> {
         std::mem::take(&mut lock(&self.shared.log))
@@ -255,7 +255,7 @@ struct Sample {
 }
 
 impl Sample {
-    /// The cycle's number, then the pins.
+    /// Returns the cycle's number, then the pins.
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_ascii_whitespace();
         let number = words.next()?.parse().ok()?;
@@ -360,7 +360,7 @@ impl Loop {
         bridge.end()
     }
 
-    /// Whether both halves of the CNC, its real-time part and the component, have just been heard.
+    /// Returns whether both halves of the CNC, its real-time part and the component, have just been heard.
     fn cnc_is_there(&self, bridge: &Bridge) -> bool {
         let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
         moves && bridge.has_heard_within(HESITATION)

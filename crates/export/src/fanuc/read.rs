@@ -50,7 +50,7 @@ impl Control {
         Ok(control)
     }
 
-    /// A parameter; `axis` 0 where it has none.
+    /// Returns a parameter; `axis` 0 where it has none.
     ///
     /// # Errors
     /// It is not in the file.
@@ -59,7 +59,7 @@ impl Control {
         found.copied().ok_or_else(|| format!("parameter {number} of axis {axis} is missing"))
     }
 
-    /// The tables of an axis.
+    /// Returns the tables of an axis.
     ///
     /// # Errors
     /// A parameter or a point of it is missing, or the magnification is none.
@@ -98,7 +98,7 @@ impl Control {
     }
 }
 
-/// The lines between the two `%`.
+/// Returns the lines between the two `%`.
 fn framed(text: &str) -> Result<Vec<&str>, String> {
     let lines: Vec<&str> = text.lines().collect();
     match &lines[..] {
@@ -131,7 +131,7 @@ pub struct AxisTables {
 }
 
 impl AxisTables {
-    /// One table, its first value at point 1, so many sections of it before the reference point. `values`
+    /// Returns one table, its first value at point 1, so many sections of it before the reference point. `values`
     /// and `backlash` are in detection units.
     pub(super) fn one(negative: usize, spacing_mm: f64, values: Vec<i64>, backlash: i64) -> Self {
         Self {
@@ -145,7 +145,7 @@ impl AxisTables {
         }
     }
 
-    /// What the control adds, in detection units, so far from the reference point. A section's value
+    /// Returns what the control adds, in detection units, so far from the reference point. A section's value
     /// comes at once in its middle, or evenly over it.
     #[must_use]
     pub fn units(&self, from_reference_mm: f64, approach: Approach, is_interpolated: bool) -> f64 {

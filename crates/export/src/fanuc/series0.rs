@@ -23,7 +23,7 @@ use crate::{
 
 const FILE: &str = "SERIES-0.TXT";
 
-/// The parameters of an axis: that of its reference point, and that of its spacing.
+/// Returns the parameters of an axis: that of its reference point, and that of its spacing.
 fn numbers(axis: LinearAxis) -> Option<(u32, u32)> {
     match axis {
         LinearAxis::X => Some((1000, 756)),
@@ -94,7 +94,7 @@ pub(super) fn write(mut planned: Vec<Planned<'_>>, options: &Options, export: &m
     export.files.push(File { name: FILE.into(), text });
 }
 
-/// What is keyed in, a line each: the number, the value, and what it is.
+/// Returns what is keyed in, a line each: the number, the value, and what it is.
 fn sheet(planned: &[Planned<'_>], magnification: u8) -> String {
     let bits = MAGNIFICATIONS.iter().position(|it| *it == magnification).unwrap_or(0);
     let mut text = format!(

@@ -20,7 +20,7 @@ const MOST_PAIRS: usize = 3;
 /// So many points has a pair.
 const POINTS: usize = 4;
 
-/// The pairs that are exported: the three that reach furthest.
+/// Returns the pairs that are exported: the three that reach furthest.
 pub(super) fn chosen<'m>(
     machine: &'m Machine,
     options: &Options,

@@ -98,7 +98,7 @@ pub(super) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     }
 }
 
-/// The temperatures at which a law is written: its rows, or its reference and as far as one goes.
+/// Returns the temperatures at which a law is written: its rows, or its reference and as far as one goes.
 fn rows_c(thermal: &Thermal) -> Vec<f64> {
     match &thermal.table {
         Some(table) => table.iter().map(|row| row.temperature_c).collect(),
@@ -257,7 +257,7 @@ fn export_tool(
     );
 }
 
-/// The vector at angle 0, turned by the head's axes as the transformation does, against the model.
+/// Returns the vector at angle 0, turned by the head's axes as the transformation does, against the model.
 fn compare_tool(
     machine: &Machine,
     options: &Options,

@@ -40,7 +40,7 @@ impl Variables {
         Err("M17 is missing".to_string())
     }
 
-    /// The text that is assigned to `name`.
+    /// Returns the text that is assigned to `name`.
     ///
     /// # Errors
     /// It is not assigned.
@@ -48,7 +48,7 @@ impl Variables {
         self.0.get(name).map(String::as_str).ok_or_else(|| format!("{name} is missing"))
     }
 
-    /// The number that is assigned to `name`.
+    /// Returns the number that is assigned to `name`.
     ///
     /// # Errors
     /// It is not assigned, or not a number.
@@ -72,7 +72,7 @@ pub struct Lookup {
 }
 
 impl Lookup {
-    /// The encoder table of `axis`.
+    /// Returns the encoder table of `axis`.
     ///
     /// # Errors
     /// A variable of it is missing.
@@ -85,7 +85,7 @@ impl Lookup {
         Ok(Self { points, direction: 0.0, input: axis.to_string(), output: axis.to_string() })
     }
 
-    /// The cross-axis table `t`.
+    /// Returns the cross-axis table `t`.
     ///
     /// # Errors
     /// A variable of it is missing, or no value that the control takes.
@@ -113,7 +113,7 @@ impl Lookup {
         Ok(Self { points, direction, input: axis("INPUT")?, output: axis("OUTPUT")? })
     }
 
-    /// The value at `position`; 0 where the table is for the other direction. The axis moves by the
+    /// Returns the value at `position`; 0 where the table is for the other direction. The axis moves by the
     /// opposite of it.
     #[must_use]
     pub fn value(&self, position: f64, approach: Approach) -> f64 {

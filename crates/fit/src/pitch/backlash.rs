@@ -61,7 +61,7 @@ pub struct BacklashFit {
     pub depends_on_position: bool,
 }
 
-/// The backlash of `axis`, from the same columns as [`fit`](super::fit).
+/// Returns the backlash of `axis`, from the same columns as [`fit`](super::fit).
 ///
 /// # Errors
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
@@ -153,7 +153,7 @@ fn by_target(readings: &Readings, differences: &[Difference]) -> Vec<(f64, Vec<f
     targets
 }
 
-/// The width of these means by `rule`.
+/// Returns the width of these means by `rule`.
 fn width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
     match rule {
         WidthRule::Largest => {
@@ -163,7 +163,7 @@ fn width(means: impl Iterator<Item = f64> + Clone, rule: WidthRule) -> f64 {
     }
 }
 
-/// How likely chance alone makes the positions differ so; `None` without repeats or with one
+/// Returns how likely chance alone makes the positions differ so; `None` without repeats or with one
 /// position.
 fn chance(by_target: &[(f64, Vec<f64>)]) -> Option<f64> {
     let count: usize = by_target.iter().map(|(_, um)| um.len()).sum();
@@ -264,7 +264,7 @@ fn report(
     report
 }
 
-/// The mean at each target.
+/// Returns the mean at each target.
 fn means_of(differences: &[Difference]) -> Vec<f64> {
     // Sorted by target already.
     differences

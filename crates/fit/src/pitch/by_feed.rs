@@ -107,7 +107,7 @@ impl ByFeed {
     }
 }
 
-/// How likely chance alone makes the feeds differ so; `None` without repeats.
+/// Returns how likely chance alone makes the feeds differ so; `None` without repeats.
 fn chance(differences: &[Difference], targets: usize) -> Option<f64> {
     let mean = |of: &dyn Fn(&&Difference) -> bool| {
         let um: Vec<f64> = differences.iter().filter(of).map(|it| it.um).collect();

@@ -118,7 +118,7 @@ pub fn fit_both<E: From<BadInput>>(
     })
 }
 
-/// What stands in a table that stays.
+/// Returns what stands in a table that stays.
 fn largest(um: &[f64]) -> String {
     let largest = um.iter().fold(0.0_f64, |most, um| most.max(um.abs()));
     if largest == 0.0 { "0 everywhere".into() } else { format!("up to {largest:.1} µm") }
@@ -148,7 +148,7 @@ fn second_options(
     Options { ways: Ways::One, feedback: Feedback::Scale, known_um: Some(known_um), ..options }
 }
 
-/// The report of the second drive's own table.
+/// Returns the report of the second drive's own table.
 fn as_second(mut report: Report, axis: LinearAxis) -> Report {
     let pitch = format!("axis.{}.pitch", axis.name());
     report.edit.sections.retain(|section| section.name() == pitch);
@@ -160,7 +160,7 @@ fn as_second(mut report: Report, axis: LinearAxis) -> Report {
     report
 }
 
-/// One report of both.
+/// Returns one report of both.
 fn joined(mut first: Report, second: Report) -> Report {
     let told = |text: &String| format!("second drive: {text}");
     first.warnings.extend(second.warnings.iter().map(told));

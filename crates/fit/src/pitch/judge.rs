@@ -45,7 +45,7 @@ pub(super) enum Law {
 }
 
 impl Law {
-    /// The table that it is; none of what has none.
+    /// Returns the table that it is; none of what has none.
     pub(super) fn table(self) -> Option<repeats::Law> {
         match self {
             Self::Nothing | Self::Constant => None,
@@ -75,7 +75,7 @@ pub(super) struct Fitted {
 }
 
 impl Fitted {
-    /// The error in µm at `position_mm`, approached in the direction `way`: as the machine's model
+    /// Returns the error in µm at `position_mm`, approached in the direction `way`: as the machine's model
     /// has it.
     pub(super) fn at(&self, position_mm: f64, way: usize) -> f64 {
         let direction = if way == 0 { 1.0 } else { -1.0 };
@@ -105,12 +105,12 @@ impl Sums {
         sums
     }
 
-    /// The means of one direction.
+    /// Returns the means of one direction.
     pub(super) fn line(&self, targets_mm: &[f64], way: usize) -> Line {
         self.merged(targets_mm, &[(way, 0.0)])
     }
 
-    /// The means of the named directions together, each less its shift.
+    /// Returns the means of the named directions together, each less its shift.
     fn merged(&self, targets_mm: &[f64], ways: &[(usize, f64)]) -> Line {
         let points = targets_mm.iter().enumerate().filter_map(|(target, &x)| {
             let count: f64 = ways.iter().map(|&(way, _)| self.count[way][target]).sum();
@@ -132,7 +132,7 @@ impl Sums {
             .collect()
     }
 
-    /// The constants of `law`.
+    /// Returns the constants of `law`.
     pub(super) fn fit(&self, targets_mm: &[f64], grid: &Grid, law: Law) -> Fitted {
         let both = [(0, 0.0), (1, 0.0)];
         let mut fitted = Fitted { constant_um: 0.0, pitch: None, width_um: None };
@@ -185,12 +185,12 @@ impl Judged {
         (self.residuals_um.iter().map(|um| um * um).sum::<f64>() / count).sqrt()
     }
 
-    /// The root mean square of each block in µm.
+    /// Returns the root mean square of each block in µm.
     pub(super) fn rms_by_fold(&self) -> Vec<f64> {
         self.mse_um2.iter().map(|mse| mse.sqrt()).collect()
     }
 
-    /// Whether this law gains on `simpler` on the blocks left out.
+    /// Returns whether this law gains on `simpler` on the blocks left out.
     pub(super) fn gains_on(&self, simpler: &Self) -> bool {
         let gains: Vec<f64> = simpler
             .mse_um2
@@ -202,12 +202,12 @@ impl Judged {
     }
 }
 
-/// Whether the mean of `gains`, in µm², is above 0 with a confidence of 95 %.
+/// Returns whether the mean of `gains`, in µm², is above 0 with a confidence of 95 %.
 pub(super) fn is_gain(gains: &[f64]) -> bool {
     lower_bound(gains).is_some_and(|low| low > RESOLUTION_UM2)
 }
 
-/// The one-sided 95 % lower bound of the mean of `values`; `None` below two values.
+/// Returns the one-sided 95 % lower bound of the mean of `values`; `None` below two values.
 fn lower_bound(values: &[f64]) -> Option<f64> {
     if values.len() < 2 {
         return None;
@@ -219,23 +219,23 @@ fn lower_bound(values: &[f64]) -> Option<f64> {
     Some(mean - t * (variance / count).sqrt())
 }
 
-/// The point below which Student's t of `freedom` degrees lies with `probability`.
+/// Returns the point below which Student's t of `freedom` degrees lies with `probability`.
 pub(super) fn student(freedom: usize, probability: f64) -> Option<f64> {
     let t = StudentsT::new(0.0, 1.0, freedom as f64).ok()?;
     Some(t.inverse_cdf(probability))
 }
 
-/// The number of blocks in which `runs` are left out.
+/// Returns the number of blocks in which `runs` are left out.
 pub(super) fn folds(runs: usize) -> usize {
     runs.min(MOST_FOLDS)
 }
 
-/// The block of `run` among `runs`.
+/// Returns the block of `run` among `runs`.
 pub(super) fn fold_of(run: usize, runs: usize) -> usize {
     run * folds(runs) / runs
 }
 
-/// Each of `laws` on the runs left out in turn; needs at least two runs.
+/// Returns each of `laws` on the runs left out in turn; needs at least two runs.
 pub(super) fn judge(readings: &Readings, grid: &Grid, laws: &[Law]) -> Vec<Judged> {
     let (runs, targets) = (readings.runs, readings.targets_mm.len());
     let folds = folds(runs);

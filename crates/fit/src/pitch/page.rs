@@ -67,7 +67,7 @@ pub fn page(
     page
 }
 
-/// The means of both directions, and two standard deviations around them.
+/// Returns the means of both directions, and two standard deviations around them.
 fn picture(name: &str, iso230: &Iso230) -> String {
     let of = |direction: fn(&TargetFigures) -> Option<Approach>, spread: f64| -> Vec<[f64; 2]> {
         let there = iso230.targets.iter().filter_map(|it| Some((it.position_mm, direction(it)?)));

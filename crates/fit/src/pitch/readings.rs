@@ -180,7 +180,7 @@ impl Readings {
         set_aside
     }
 
-    /// The readings for a decision by their repeats.
+    /// Returns the readings for a decision by their repeats.
     pub(super) fn repeats(&self) -> Vec<repeats::Reading> {
         let of = |it: &Reading| repeats::Reading {
             place: it.target,
@@ -191,12 +191,12 @@ impl Readings {
         self.list.iter().map(of).collect()
     }
 
-    /// Whether there is a reading in each of the two directions.
+    /// Returns whether there is a reading in each of the two directions.
     pub(super) fn has_way(&self) -> [bool; 2] {
         [0, 1].map(|way| self.list.iter().any(|reading| reading.way == way))
     }
 
-    /// The values at each target, by direction.
+    /// Returns the values at each target, by direction.
     pub(super) fn by_target(&self) -> Vec<[Vec<f64>; 2]> {
         let mut values = vec![[const { Vec::new() }; 2]; self.targets_mm.len()];
         for reading in &self.list {
@@ -206,14 +206,14 @@ impl Readings {
     }
 }
 
-/// An error at the header, its rule still to be said.
+/// Returns an error at the header, its rule still to be said.
 fn no_column(file: &Unaided<'_>, name: &str) -> BadInput {
     // The empty name is never there, so that the place comes even where `name` is.
     let place = file.require("").map_or_else(|bad| bad.place, |_| file.place(0, name));
     BadInput::new(place, String::new())
 }
 
-/// The column `stem_unit`, which must not be there in another unit, be it beside it or instead.
+/// Returns the column `stem_unit`, which must not be there in another unit, be it beside it or instead.
 fn column_in<'f>(file: &'f Unaided<'_>, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
     const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");
@@ -278,7 +278,7 @@ fn raw_rows(
     Ok((rows, rows_incomplete))
 }
 
-/// The smallest step from row to row within a sweep; `None` where no sweep has two positions.
+/// Returns the smallest step from row to row within a sweep; `None` where no sweep has two positions.
 fn smallest_step(rows: &[Raw]) -> Option<f64> {
     let same_sweep = |a: &Raw, b: &Raw| a.way == b.way && (a.run == b.run || a.run.is_nan());
     rows.windows(2)
@@ -290,7 +290,7 @@ fn smallest_step(rows: &[Raw]) -> Option<f64> {
         .reduce(f64::min)
 }
 
-/// The targets in mm, rising; the target of each position; whether they are cells of a record.
+/// Returns the targets in mm, rising; the target of each position; whether they are cells of a record.
 fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
     let positions: Vec<f64> = rows.iter().map(|raw| raw.position_mm).collect();
     let (targets, target_of) = places(&positions, smallest_step(rows).unwrap_or(0.0));

@@ -23,7 +23,7 @@ const LOST_SHARE: f64 = 0.1;
 /// good, however well the axis repeats.
 const LOST_OF_SHAPE: f64 = 0.01;
 
-/// The points of the table.
+/// Returns the points of the table.
 pub(super) fn choose_grid(
     readings: &Readings,
     sums: &Sums,

@@ -33,12 +33,12 @@ impl Scatter {
         }
     }
 
-    /// The standard error of a mean, in µm.
+    /// Returns the standard error of a mean, in µm.
     pub(super) fn mean_error_um(&self) -> Option<f64> {
         self.repeats_um.map(|um| um / self.readings_a_mean.sqrt())
     }
 
-    /// The part of the shape that the scatter of the means does not explain, in µm.
+    /// Returns the part of the shape that the scatter of the means does not explain, in µm.
     pub(super) fn systematic_um(&self) -> f64 {
         let noise = self.mean_error_um().unwrap_or(0.0);
         (self.shape_um.powi(2) - noise.powi(2)).max(0.0).sqrt()

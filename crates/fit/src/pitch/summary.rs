@@ -44,7 +44,7 @@ pub(super) fn left_out_by(runs: usize) -> String {
     }
 }
 
-/// The figures of the axis by the symbols of the standard.
+/// Returns the figures of the axis by the symbols of the standard.
 fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
     let mut facts = Vec::new();
     let mut fact = |name: &str, um: f64| facts.push(Fact::number(format!("iso230_{name}_um"), um));
@@ -163,7 +163,7 @@ pub(super) fn write(
     }
 }
 
-/// Half the 95 % interval of the mean width: from the runs' own widths, or with one run from those
+/// Returns half the 95 % interval of the mean width: from the runs' own widths, or with one run from those
 /// of the targets.
 fn half_width_um(readings: &Readings, sums: &Sums) -> Option<f64> {
     let runs = readings.runs;
@@ -184,7 +184,7 @@ fn half_width_um(readings: &Readings, sums: &Sums) -> Option<f64> {
     half_interval(&widths)
 }
 
-/// Half the 95 % interval of the mean of `values`; `None` below two values.
+/// Returns half the 95 % interval of the mean of `values`; `None` below two values.
 pub(super) fn half_interval(values: &[f64]) -> Option<f64> {
     if values.len() < 2 {
         return None;
@@ -248,7 +248,7 @@ pub(super) fn reasons(
     reasons
 }
 
-/// What to measure so that it can be decided, in a sentence.
+/// Returns what to measure so that it can be decided, in a sentence.
 pub(super) fn to_measure(
     readings: &Readings,
     decision: &Decision,
@@ -285,7 +285,7 @@ pub(super) fn to_measure(
     })
 }
 
-/// What the table is worth between its points, where that is doubted.
+/// Returns what the table is worth between its points, where that is doubted.
 pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
     let none = vec![false; readings.list.len()];
     let found = between(&readings.targets_mm, &readings.repeats(), &none, law.table()?)?;
@@ -299,7 +299,7 @@ pub(super) fn between_points(readings: &Readings, law: Law) -> Option<String> {
     })
 }
 
-/// Whether `best` gains on `nothing` if each run's residuals are counted from their own mean.
+/// Returns whether `best` gains on `nothing` if each run's residuals are counted from their own mean.
 fn repeats_once_centred(readings: &Readings, nothing: &Judged, best: &Judged) -> bool {
     let by_run = |judged: &Judged| {
         let mut runs = vec![(0.0, 0.0, 0.0); readings.runs];

@@ -66,7 +66,7 @@ impl Grid {
         Self { start_mm: start, step_mm, points: (steps as usize).saturating_add(1) }
     }
 
-    /// The targets themselves, if their distances are equal to a ten-thousandth: they may have been
+    /// Returns the targets themselves, if their distances are equal to a ten-thousandth: they may have been
     /// written in few digits.
     pub(super) fn of_equal_steps(targets_mm: &[f64]) -> Option<Self> {
         const EQUAL: f64 = 1e-4;
@@ -80,7 +80,7 @@ impl Grid {
         self.start_mm + self.step_mm * point as f64
     }
 
-    /// The table nearest to `line`, in µm to [`DECIMALS`].
+    /// Returns the table nearest to `line`, in µm to [`DECIMALS`].
     pub(super) fn table(&self, line: &Line) -> Vec<f64> {
         self.nearest(line).into_iter().map(|um| rounded(um, DECIMALS)).collect()
     }
@@ -115,7 +115,7 @@ impl Grid {
         sums.add(low, [1.0 - share, share], um, weight);
     }
 
-    /// The table of `lines`, one for both directions or one for each.
+    /// Returns the table of `lines`, one for both directions or one for each.
     pub(super) fn pitch(&self, forward: &Line, reverse: Option<&Line>) -> Pitch {
         Pitch {
             start_mm: self.start_mm,
@@ -125,7 +125,7 @@ impl Grid {
         }
     }
 
-    /// The root mean square of what the table misses at the targets of `lines`, in µm.
+    /// Returns the root mean square of what the table misses at the targets of `lines`, in µm.
     pub(super) fn loss_um(&self, lines: &[&Line]) -> f64 {
         let (mut squares, mut weights) = (0.0, 0.0);
         for line in lines {
@@ -139,7 +139,7 @@ impl Grid {
     }
 }
 
-/// The board's unit of position below or above `mm`; itself if it is one but for rounding.
+/// Returns the board's unit of position below or above `mm`; itself if it is one but for rounding.
 fn on_lattice(mm: f64, towards: fn(f64) -> f64) -> f64 {
     const NEAR: f64 = 1e-6;
     let units = mm * UNITS_PER_MM;

@@ -21,7 +21,7 @@ const HIDDEN_SHARE: f64 = 0.1;
 /// Fewer targets have one phase by chance.
 const FEWEST_TARGETS: usize = 3;
 
-/// The likely pitches, in mm, of which `targets_mm` show next to nothing.
+/// Returns the likely pitches, in mm, of which `targets_mm` show next to nothing.
 ///
 /// ```
 /// use trueup_fit::pitch::hidden_pitches;

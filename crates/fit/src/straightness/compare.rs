@@ -37,7 +37,7 @@ impl Way {
     pub(super) const ALL: [Self; 5] =
         [Self::Paper, Self::PapersPoints, Self::LeastSquares, Self::Polynomial, Self::Lines];
 
-    /// The way of a fit by `method`.
+    /// Returns the way of a fit by `method`.
     #[must_use]
     pub fn of(method: Method) -> Self {
         match method {
@@ -136,7 +136,7 @@ pub(super) fn table(fit: &Fit) -> Vec<Compared> {
         .collect()
 }
 
-/// The curve of the same readings by each way.
+/// Returns the curve of the same readings by each way.
 pub(super) fn models(fit: &Fit) -> Vec<(Way, Model)> {
     let is_own = fit.method == Method::LeastSquares;
     let model = |way| match way {
@@ -147,12 +147,12 @@ pub(super) fn models(fit: &Fit) -> Vec<(Way, Model)> {
     Way::ALL.into_iter().map(|way| (way, model(way))).collect()
 }
 
-/// How the largest residual falls as points join by the paper's way: control points, and µm.
+/// Returns how the largest residual falls as points join by the paper's way: control points, and µm.
 pub(super) fn papers_steps(fit: &Fit) -> Vec<(usize, f64)> {
     paper::fit(&fit.sites.thinned(MOST_CELLS), tolerance(fit), paper::Control::Readings).steps
 }
 
-/// What the paper's rule takes for its ε: the tolerance, else what the fit has left.
+/// Returns what the paper's rule takes for its ε: the tolerance, else what the fit has left.
 fn tolerance(fit: &Fit) -> f64 {
     fit.tolerance_um.unwrap_or(fit.residual.largest_um)
 }

@@ -65,7 +65,7 @@ impl<'s> Search<'s> {
         clamped(ORDER, first, inner, last)
     }
 
-    /// The fit in these inner knots; `None` if they may not be.
+    /// Returns the fit in these inner knots; `None` if they may not be.
     fn fit(&self, inner: &[f64]) -> Option<InKnots> {
         let [first, last] = self.sites.ends();
         let before = std::iter::once(first).chain(inner.iter().copied());
@@ -92,7 +92,7 @@ impl<'s> Search<'s> {
         Some(Placed { inner, sum_of_squares })
     }
 
-    /// One knot more than `from` has, all at their best; `None` where the sites allow no further.
+    /// Returns one knot more than `from` has, all at their best; `None` where the sites allow no further.
     pub(super) fn one_more(&self, from: &Placed) -> Option<Placed> {
         /// Of more knots than that, each gains little: one start is enough.
         const MANY: usize = 32;
@@ -137,7 +137,7 @@ impl<'s> Search<'s> {
         tried
     }
 
-    /// The `most` best places for one more knot, each with the knots of `from` where they are.
+    /// Returns the `most` best places for one more knot, each with the knots of `from` where they are.
     fn insertions(&self, from: &Placed, most: usize) -> Vec<Placed> {
         let knots = self.knots(&from.inner);
         let mut found: Vec<Placed> = Vec::new();
@@ -318,7 +318,7 @@ impl<'s> Search<'s> {
         Some((curvature, slope))
     }
 
-    /// The knots after a damped step, which takes none of them more than a part of the way to its
+    /// Returns the knots after a damped step, which takes none of them more than a part of the way to its
     /// neighbour.
     fn step(
         &self,

@@ -91,12 +91,12 @@ impl Model {
     }
 }
 
-/// Which piece of lines through `x` a position is on: that which ends with this number.
+/// Returns which piece of lines through `x` a position is on: that which ends with this number.
 fn piece(x: &[f64], x_mm: f64) -> usize {
     x.partition_point(|&at| at <= x_mm).clamp(1, x.len() - 1)
 }
 
-/// The slope of the piece that ends with the number `n`, in µm/mm.
+/// Returns the slope of the piece that ends with the number `n`, in µm/mm.
 fn slope(x: &[f64], y: &[f64], n: usize) -> f64 {
     (y[n] - y[n - 1]) / (x[n] - x[n - 1])
 }
@@ -109,7 +109,7 @@ pub(super) struct Polynomial {
 }
 
 impl Polynomial {
-    /// The least squares polynomial of `degree`, or of the highest below it that the sites allow.
+    /// Returns the least squares polynomial of `degree`, or of the highest below it that the sites allow.
     pub(super) fn fit(sites: &Sites, degree: usize) -> Self {
         let ends = sites.ends();
         let count = (degree + 1).min(sites.len() - 1);
@@ -152,7 +152,7 @@ impl Polynomial {
     }
 }
 
-/// A position as −1…1.
+/// Returns a position as −1…1.
 fn local([first, last]: [f64; 2], x: f64) -> f64 {
     2.0 * (x - first) / (last - first) - 1.0
 }

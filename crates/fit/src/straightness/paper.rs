@@ -40,7 +40,7 @@ pub(super) struct Chosen {
     pub(super) steps: Vec<(usize, f64)>,
 }
 
-/// The fit.
+/// Returns the fit.
 pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> Chosen {
     let last = sites.len() - 1;
     let mut is_chosen = vec![false; sites.len()];
@@ -81,7 +81,7 @@ pub(super) fn fit(sites: &Sites, tolerance_um: f64, control: Control) -> Chosen 
     }
 }
 
-/// The points whose curvature is above both neighbours', the largest first.
+/// Returns the points whose curvature is above both neighbours', the largest first.
 fn largest_curvatures(sites: &Sites) -> Vec<usize> {
     let (x, y) = (&sites.x, &sites.y);
     let curvature = |n: usize| {
@@ -98,7 +98,7 @@ fn largest_curvatures(sites: &Sites) -> Vec<usize> {
     peaks.iter().map(|n| n + 1).collect()
 }
 
-/// The spline whose control points stand at the chosen sites (in order).
+/// Returns the spline whose control points stand at the chosen sites (in order).
 fn through(sites: &Sites, chosen: &[usize], control: Control) -> Option<BSpline> {
     let x = |n: usize| sites.x[chosen[n]];
     let inner: Vec<f64> =

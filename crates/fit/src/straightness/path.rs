@@ -169,7 +169,7 @@ impl<'s> Path<'s> {
         }
     }
 
-    /// Whether the newest fit, the best so far, misses the tolerance by little.
+    /// Returns whether the newest fit, the best so far, misses the tolerance by little.
     fn is_near_tolerance(&self) -> bool {
         const LITTLE: f64 = 2.0;
         let limit = self.options.tolerance_um.map_or(0.0, |tolerance| LITTLE * tolerance);
@@ -191,13 +191,13 @@ impl<'s> Path<'s> {
         }
     }
 
-    /// Whether further knots are of no use.
+    /// Returns whether further knots are of no use.
     fn is_settled(&self) -> bool {
         let is_noise = || self.best.as_ref().is_some_and(|best| !self.has_pattern(&best.spline));
         self.is_within_sound || self.is_exact || (self.since >= PATIENCE && is_noise())
     }
 
-    /// Whether what a curve leaves goes on from one site to the next: von Neumann's ratio of the
+    /// Returns whether what a curve leaves goes on from one site to the next: von Neumann's ratio of the
     /// mean square of successive differences to the variance is 2 for noise, and smaller then.
     fn has_pattern(&self, spline: &BSpline) -> bool {
         /// The 1 % point of the normal distribution.
@@ -210,7 +210,7 @@ impl<'s> Path<'s> {
         1.0 - 0.5 * successive / squares > SELDOM * deviation
     }
 
-    /// Whether the best is better than a straight line by more than its coefficients explain.
+    /// Returns whether the best is better than a straight line by more than its coefficients explain.
     fn is_curved(&self, best: &Best) -> bool {
         const LEVEL: f64 = 1e-3;
         let (Some((line, _)), freedom) = (&self.line, self.sites.rows.saturating_sub(best.free))
@@ -223,7 +223,7 @@ impl<'s> Path<'s> {
         !ratio.is_finite() || fisher.sf(ratio.max(0.0)) < LEVEL
     }
 
-    /// The result, given why the search has ended.
+    /// Returns the result, given why the search has ended.
     fn end(self, stopped: Stop) -> Found {
         if let Some(spline) = self.within.clone().filter(|_| self.is_within_sound) {
             return Found { spline, stopped: Stop::Tolerance };

@@ -28,14 +28,14 @@ impl StraightnessCurve {
         Straightness { error: self.error, along: self.along, spline: self.fit.spline.clone() }
     }
 
-    /// The name of its section under `[straightness]`: `z_of_x`.
+    /// Returns the name of its section under `[straightness]`: `z_of_x`.
     #[must_use]
     pub fn name(&self) -> String {
         self.straightness().name()
     }
 }
 
-/// The curve of `quantity` (`dx`, `dy`, `dz`; where the run has only one it need not be named) over
+/// Returns the curve of `quantity` (`dx`, `dy`, `dz`; where the run has only one it need not be named) over
 /// the position of the one axis that moves. Several passes are repeats.
 ///
 /// # Errors
@@ -70,7 +70,7 @@ pub(super) fn error_column(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
-/// The axis whose error is to be fitted.
+/// Returns the axis whose error is to be fitted.
 pub(super) fn error_axis(
     run: &Unaided<'_>,
     quantity: Option<&str>,
@@ -103,7 +103,7 @@ pub(super) fn error_axis(
     }
 }
 
-/// The axes whose positions a run has, each with how far it goes in mm where the error is measured.
+/// Returns the axes whose positions a run has, each with how far it goes in mm where the error is measured.
 fn travels(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     let travel = |axis: LinearAxis| -> Option<f64> {
         let positions = run.column(&format!("{}_mm", axis.name()))?.iter().zip(errors);
@@ -125,7 +125,7 @@ pub(super) fn moving(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)
     travels
 }
 
-/// The one axis that moves while the error is measured.
+/// Returns the one axis that moves while the error is measured.
 fn moving_axis(
     run: &Unaided<'_>,
     error: LinearAxis,

@@ -35,7 +35,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// The line's value, in µm.
+    /// Returns the line's value, in µm.
     #[must_use]
     pub fn at(&self, x_mm: f64) -> f64 {
         self.offset_um + self.slope_um_per_mm * x_mm
@@ -103,7 +103,7 @@ impl Sites {
         self.rows - self.len()
     }
 
-    /// What lies between the means and a curve.
+    /// Returns what lies between the means and a curve.
     pub(super) fn residuals(&self, spline: &BSpline) -> Vec<f64> {
         let value = |x| trueup_machine::model::spline_um(spline, x);
         self.x.iter().zip(&self.y).map(|(&x, &y)| y - value(x)).collect()
@@ -153,7 +153,7 @@ impl Sites {
         thin
     }
 
-    /// Every second site, from the first on or from the second.
+    /// Returns every second site, from the first on or from the second.
     pub(super) fn every_second(&self, from: usize) -> Self {
         let take = |values: &[f64]| values.iter().skip(from).step_by(2).copied().collect();
         let weight: Vec<f64> = take(&self.weight);

@@ -102,7 +102,7 @@ impl Table1 {
     }
 }
 
-/// The table of `runs`.
+/// Returns the table of `runs`.
 ///
 /// # Errors
 /// Those of [`fit_run`]; a diagonal whose error's own axis moves, that is not straight, or of which a curve is missing.
@@ -156,7 +156,7 @@ fn of_curve(curve: &Curve<'_>, asked: &Asked<'_>) -> Entry {
     }
 }
 
-/// The same from 0 on.
+/// Returns the same from 0 on.
 fn shifted(sites: &Sites, by_mm: f64) -> Sites {
     Sites { x: sites.x.iter().map(|x| x - by_mm).collect(), ..sites.clone() }
 }
@@ -220,7 +220,7 @@ impl Diagonal<'_> {
         })
     }
 
-    /// The readings over the way from the end at which the first axis stands lowest.
+    /// Returns the readings over the way from the end at which the first axis stands lowest.
     fn places(&self, bad: &dyn Fn(String) -> BadInput) -> Result<Places, BadInput> {
         let errors = self.run.require(&error_column(self.error))?;
         let positions: Vec<&[f64]> = self
@@ -281,7 +281,7 @@ struct Share<'m> {
 }
 
 impl Share<'_> {
-    /// The position of its axis, and whether the curve was measured there.
+    /// Returns the position of its axis, and whether the curve was measured there.
     fn at(&self, way_mm: f64) -> (f64, bool) {
         let [low, high] = self.ends_mm;
         let x = self.start_mm + self.cosine * way_mm;

@@ -45,7 +45,7 @@ pub(super) struct FittedTable {
     solution: Solution,
 }
 
-/// The temperatures at which whole runs were measured, rising, each the mean of its runs; empty
+/// Returns the temperatures at which whole runs were measured, rising, each the mean of its runs; empty
 /// where a run's own temperature moves by more than a quarter of the way to the next.
 pub(super) fn levels(rows: &Rows<'_>, data: &Data) -> Vec<f64> {
     let is_used: Vec<bool> = data.y.iter().map(|y| !y.is_nan()).collect();
@@ -134,7 +134,7 @@ impl FittedTable {
         Some(Self { rows, solution })
     }
 
-    /// Whether it leaves clearly less than the lines do, whose residuals these are: more than its
+    /// Returns whether it leaves clearly less than the lines do, whose residuals these are: more than its
     /// further constants do by chance (F), and not by a hair.
     pub(super) fn is_better(
         &self,
@@ -187,7 +187,7 @@ impl FittedTable {
     }
 }
 
-/// The residuals of left-out groups from a table with these knots, and how they were left out.
+/// Returns the residuals of left-out groups from a table with these knots, and how they were left out.
 pub(super) fn left_out(
     data: &Data,
     mode: ThermalMode,
@@ -204,7 +204,7 @@ pub(super) fn left_out(
     }
 }
 
-/// The hat functions of K₀'s rows, then those of tanβ's.
+/// Returns the hat functions of K₀'s rows, then those of tanβ's.
 pub(super) fn columns(
     lagged_c: &[f64],
     arm_m: &[f64],

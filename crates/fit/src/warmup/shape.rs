@@ -59,7 +59,7 @@ pub(super) struct Shape<'a> {
 }
 
 impl Shape<'_> {
-    /// The constants of q, whose order is τ, t₁, k, p, τ of cooling.
+    /// Returns the constants of q, whose order is τ, t₁, k, p, τ of cooling.
     pub(super) fn constants(&self, q: &[f64]) -> Constants {
         let mut q = q.iter().copied();
         let mut next = |is_free: bool, set: f64| {
@@ -74,7 +74,7 @@ impl Shape<'_> {
         Constants { lag_s, tau_s, exponent, speed_exponent, cool_s }
     }
 
-    /// The place of each constant in q: τ, t₁, k, p, τ of cooling.
+    /// Returns the place of each constant in q: τ, t₁, k, p, τ of cooling.
     pub(super) fn places(&self) -> [Option<usize>; 5] {
         let free = self.free;
         let mut next = 0;
@@ -124,7 +124,7 @@ impl Shape<'_> {
         grid
     }
 
-    /// The best fit from `grid`.
+    /// Returns the best fit from `grid`.
     pub(super) fn fit(&self, y: &[f64], grid: &[Vec<f64>]) -> Option<Fit> {
         // The kinks at t₁ and t₂ move from row to row: digits beyond these are not there.
         let options = Options {
@@ -136,7 +136,7 @@ impl Shape<'_> {
         fit_separable(self, y, grid, &options).ok()
     }
 
-    /// The model's values at these parameters, q and then the linear ones.
+    /// Returns the model's values at these parameters, q and then the linear ones.
     pub(super) fn values(&self, parameters: &[f64], rows: usize) -> Vec<f64> {
         let (q, c) = parameters.split_at(self.nonlinear());
         let mut columns = vec![vec![0.0; rows]; c.len()];

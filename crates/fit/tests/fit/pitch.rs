@@ -286,7 +286,7 @@ fn an_even_backlash_is_not_called_dependent_on_position() {
     assert!(called <= 12);
 }
 
-/// A record while the axis moves: `count` rows of position, direction, error, each sweep of 1000.
+/// Returns a record while the axis moves: `count` rows of position, direction, error, each sweep of 1000.
 fn record(count: usize) -> Unaided<'static> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut noise = noise(12, 1.0);

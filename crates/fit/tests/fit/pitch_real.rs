@@ -15,7 +15,7 @@ use trueup_machine::{
     file::{LinearAxis, write::Edit},
 };
 
-/// The run of this name, `None` (and a line that says so) where the data are not there.
+/// Returns the run of this name, `None` (and a line that says so) where the data are not there.
 fn measured(name: &str) -> Option<Unaided<'static>> {
     let path = trueup_measured_data::file(&format!("ess_iso230/{name}"))?;
     Some(unaided(RunFile::read(&path).expect("the data are a run file")))
@@ -25,7 +25,7 @@ fn first_three(ways: Ways) -> Options {
     Options { ways, runs: Some(vec![1.0, 2.0, 3.0]), ..Options::default() }
 }
 
-/// The rms on runs 4 and 5 after a fit on 1 to 3.
+/// Returns the rms on runs 4 and 5 after a fit on 1 to 3.
 fn tested(run: &Unaided<'_>, name: &str, ways: Ways) -> f64 {
     let fit = fit(run, LinearAxis::X, &first_three(ways)).expect("the run can be fitted");
     assert!(fit.report.verdict.is_fitted(), "{name}: {:?}", fit.report.verdict);

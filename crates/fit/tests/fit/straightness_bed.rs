@@ -8,7 +8,7 @@ use trueup_machine::model::spline_um;
 /// Positions in mm; heights in µm of the mean over the rows, and of each row.
 type Mesh = (Vec<f64>, Vec<f64>, Vec<Vec<f64>>);
 
-/// The mesh; `None` where the data are not there.
+/// Returns the mesh; `None` where the data are not there.
 fn mesh() -> Option<Mesh> {
     let path = trueup_measured_data::file("bed_mesh_troodon/mesh_101x101_mm.csv")?;
     let text = std::fs::read_to_string(path).expect("a text file");
@@ -24,7 +24,7 @@ fn every_second(values: &[f64], from: usize) -> Vec<f64> {
     values.iter().skip(from).step_by(2).copied().collect()
 }
 
-/// The fit at the even points, and its RMS error at the odd ones.
+/// Returns the fit at the even points, and its RMS error at the odd ones.
 fn even_and_odd(x: &[f64], y: &[f64], options: &Options) -> (Fit, f64) {
     let fit = fit(&every_second(x, 0), &every_second(y, 0), options).expect("sound data");
     let odd = every_second(x, 1).into_iter().zip(every_second(y, 1));

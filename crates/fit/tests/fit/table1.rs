@@ -38,7 +38,7 @@ fn curve(set: u64, number: usize) -> (Guideway, Unaided<'static>) {
     (way, run(&text))
 }
 
-/// The diagonal of two curves, read every 240 mm of the longer axis where that is X, else at 60 places.
+/// Returns the diagonal of two curves, read every 240 mm of the longer axis where that is X, else at 60 places.
 fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Unaided<'static> {
     let ways = pair.map(|number| curve(set, number).0);
     let names = pair.map(|number| &CURVES[number].0[5..]);
@@ -52,7 +52,7 @@ fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Unaided<'static> {
     run(&text)
 }
 
-/// Both curves of a diagonal and itself, at the smaller of the two ε that the paper's curves keep to.
+/// Returns both curves of a diagonal and itself, at the smaller of the two ε that the paper's curves keep to.
 fn table(set: u64, error: &str, pair: [usize; 2]) -> (Table1, f64) {
     let [first, second] = pair.map(|number| curve(set, number).1);
     let tolerance_um = CURVES[pair[0]].4.min(CURVES[pair[1]].4);
@@ -69,12 +69,13 @@ fn of(entry: &Entry, way: Way) -> &Row {
     entry.rows.iter().find(|row| row.way == way).expect("each way is there")
 }
 
-/// True if what `a` leaves changes less from one position to the next than what `b` leaves, as shares of their ranges.
+/// Returns true if what `a` leaves changes less from one position to the next than what `b` leaves, as shares of their
+/// ranges.
 fn is_smoother(a: &Left, b: &Left) -> bool {
     a.step_um / a.residual.range_um < b.step_um / b.residual.range_um
 }
 
-/// The least and the most, in tenths as docs/papers.md prints them.
+/// Returns the least and the most, in tenths as docs/papers.md prints them.
 fn ends(um: &[f64]) -> [f64; 2] {
     let tenths = um.iter().map(|um| (um * 10.0).round() / 10.0);
     tenths.fold([f64::INFINITY, 0.0], |[low, high], um| [low.min(um), high.max(um)])
@@ -160,7 +161,7 @@ fn a_curve_within_half_of_5_um_keeps_5_um_in_any_metre() {
     }
 }
 
-/// The delay of a control that leaves the paper's 27.5 µm (range) on a diagonal, at the paper's feed, in s.
+/// Returns the delay of a control that leaves the paper's 27.5 µm (range) on a diagonal, at the paper's feed, in s.
 fn delay_s(set: u64) -> f64 {
     let ways = [0, 2].map(|number| curve(set, number).0);
     let length_mm = ways.iter().map(|way| way.travel_mm.powi(2)).sum::<f64>().sqrt();

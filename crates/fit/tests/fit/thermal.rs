@@ -15,7 +15,7 @@ fn fit(run: &Unaided<'_>, options: &thermal::Options) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
 }
 
-/// An axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
+/// Returns an axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
 fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Unaided<'static> {
     let mut noise = Noise::seeded(21);
     let columns = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];

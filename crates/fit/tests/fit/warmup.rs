@@ -21,7 +21,7 @@ const TRUTH: Warmup = Warmup {
     speed_exponent: 0.0,
 };
 
-/// A recorded warm-up of `truth`: a row every `interval_s`, at the speeds of `rpm` by time.
+/// Returns a recorded warm-up of `truth`: a row every `interval_s`, at the speeds of `rpm` by time.
 fn recorded(
     truth: &Warmup,
     interval_s: f64,

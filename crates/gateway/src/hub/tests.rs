@@ -13,7 +13,7 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// A hub that engages whatever calibration the bridge runs on.
+/// Returns a hub that engages whatever calibration the bridge runs on.
 fn hub() -> Hub {
     Hub::new(Pinned::new(Rule::Any))
 }

@@ -27,7 +27,7 @@ pub(super) fn is_heidenhain(text: &str) -> bool {
     is_head && lines.next().is_some_and(|line| line.to_uppercase().contains("AXISPOS"))
 }
 
-/// What stands between the brackets, the suffix before them, and the value.
+/// Returns what stands between the brackets, the suffix before them, and the value.
 fn assignment(line: &str) -> Option<(&str, Vec<&str>, f64)> {
     let rest = line.trim().strip_prefix(EEC)?;
     let (suffix, rest) = rest.split_once('[')?;

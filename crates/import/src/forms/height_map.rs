@@ -24,7 +24,7 @@ pub(super) fn is_klipper(text: &str) -> bool {
         && text.contains("points")
 }
 
-/// The lines without the mark of Klipper's saved block.
+/// Returns the lines without the mark of Klipper's saved block.
 fn plain_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(at, line)| (at + 1, line.strip_prefix("#*#").unwrap_or(line)))
 }

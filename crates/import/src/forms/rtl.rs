@@ -122,8 +122,8 @@ fn numbers(text: &str) -> Option<Vec<f64>> {
     text.split_whitespace().map(number).collect()
 }
 
-/// The direction of each run: by the order of its targets. Where all runs are written in one order, only the user
-/// knows whether every second one went back.
+/// Returns the direction of each run: by the order of its targets. Where all runs are written in one order, only the
+/// user knows whether every second one went back.
 fn ways(
     readings: &[Reading],
     targets: &[f64],

@@ -13,7 +13,7 @@ use std::path::Path;
 use trueup_import::{Answers, Imported, Refused, Topic, import};
 use trueup_machine::RunFile;
 
-/// What the user has said.
+/// Returns what the user has said.
 fn answers(given: &[(Topic, &str)]) -> Answers {
     let mut answers = Answers::default();
     for (topic, value) in given {
@@ -30,7 +30,7 @@ fn unit(name: &str) -> Topic {
     Topic::Unit(name.into())
 }
 
-/// The file, read with what the user has said.
+/// Returns the file, read with what the user has said.
 fn read(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Imported {
     read_as("table.csv", text.as_ref(), given)
 }
@@ -39,7 +39,7 @@ fn read_as(name: &str, bytes: &[u8], given: &[(Topic, &str)]) -> Imported {
     import(bytes, Path::new(name), &answers(given)).unwrap_or_else(|refused| panic!("{refused:?}"))
 }
 
-/// The topics that are open.
+/// Returns the topics that are open.
 fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
         Err(Refused::Open(questions)) => questions.into_iter().map(|it| it.topic).collect(),
@@ -47,7 +47,7 @@ fn open(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> Vec<Topic> {
     }
 }
 
-/// What is wrong with the file: `line:column: rule`.
+/// Returns what is wrong with the file: `line:column: rule`.
 fn bad(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> String {
     match import(text.as_ref(), Path::new("table.csv"), &answers(given)) {
         Err(Refused::Bad(error)) => error.to_string().trim_start_matches("table.csv:").to_string(),
@@ -55,7 +55,7 @@ fn bad(text: impl AsRef<[u8]>, given: &[(Topic, &str)]) -> String {
     }
 }
 
-/// The values of a column of the run file.
+/// Returns the values of a column of the run file.
 fn values(imported: &Imported, name: &str) -> Vec<f64> {
     let run = RunFile::from_reader(imported.run.as_bytes(), Path::new("run.csv"));
     let run = run.unwrap_or_else(|error| panic!("{error}: {}", imported.run));

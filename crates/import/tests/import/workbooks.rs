@@ -6,7 +6,7 @@ use trueup_import::{Refused, import};
 
 use crate::{Topic, answers, column, read_as, values};
 
-/// A zip archive of these parts, not compressed.
+/// Returns a zip archive of these parts, not compressed.
 fn zip(parts: &[(&str, &str)]) -> Vec<u8> {
     let (mut body, mut directory) = (Vec::new(), Vec::new());
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
@@ -48,7 +48,7 @@ fn zip(parts: &[(&str, &str)]) -> Vec<u8> {
 
 const XML: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\"?>";
 
-/// A sheet of rows of cells as Excel writes them: `t:` a text, `d:` a date and time, else a number.
+/// Returns a sheet of rows of cells as Excel writes them: `t:` a text, `d:` a date and time, else a number.
 fn sheet(rows: &[&[&str]]) -> String {
     let mut xml = format!(
         "{XML}<worksheet xmlns=\"http://schemas.openxmlformats.org/spreadsheetml/2006/main\"><sheetData>"

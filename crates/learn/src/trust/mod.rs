@@ -112,7 +112,7 @@ impl Noise {
         Self::by_gaps(&apart_um.iter().map(|um| (1.0, *um)).collect::<Vec<_>>(), row_s)
     }
 
-    /// The same where each reading is so many rows after the one before it.
+    /// Returns the same where each reading is so many rows after the one before it.
     fn by_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
         let there: Vec<f64> = rows.iter().map(|it| it.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
@@ -185,7 +185,8 @@ impl Watch {
         self.step_after(1.0, apart_um).is_some()
     }
 
-    /// The row `gap` steps of the clock after the one before it. Returns the row, from 0, in which the sum began that is an alarm.
+    /// Returns the row `gap` steps of the clock after the one before it. Returns the row, from 0, in which the sum
+    /// began that is an alarm.
     fn step_after(&mut self, gap: f64, apart_um: f64) -> Option<usize> {
         self.row += 1;
         self.gap += gap;

@@ -66,7 +66,7 @@ impl Client {
     }
 }
 
-/// A frame's line without the time that some adapters add to it (`Z1`): 4 digits of ms, or 8 of µs.
+/// Returns a frame's line without the time that some adapters add to it (`Z1`): 4 digits of ms, or 8 of µs.
 fn unstamped(line: &[u8]) -> &[u8] {
     let Some(length) = line.get(4).and_then(|digit| char::from(*digit).to_digit(16)) else {
         return line;

@@ -68,7 +68,7 @@ pub struct Port {
 }
 
 impl Port {
-    /// A closed port; `serial` is the number that it tells clients, as 4 hexadecimal digits.
+    /// Returns a closed port; `serial` is the number that it tells clients, as 4 hexadecimal digits.
     #[must_use]
     pub const fn new(serial: u16) -> Self {
         Self {
@@ -121,13 +121,13 @@ impl Port {
         true
     }
 
-    /// The next byte to transmit.
+    /// Returns the next byte to transmit.
     pub fn pop(&mut self) -> Option<u8> {
         let mut byte = [0];
         (self.take(&mut byte) == 1).then_some(byte[0])
     }
 
-    /// The next bytes to transmit, as many as there are and `piece` has room for; gives how many.
+    /// Returns the next bytes to transmit, as many as there are and `piece` has room for; gives how many.
     pub fn take(&mut self, piece: &mut [u8]) -> usize {
         let count = self.tx.len().min(piece.len());
         let (oldest, rest) = self.tx.split_at(count);
@@ -143,13 +143,13 @@ impl Port {
         self.channel = Channel::Closed;
     }
 
-    /// Whether a client listens.
+    /// Returns whether a client listens.
     #[must_use]
     pub fn is_open(&self) -> bool {
         self.channel != Channel::Closed
     }
 
-    /// What went wrong so far.
+    /// Returns what went wrong so far.
     #[must_use]
     pub const fn counters(&self) -> PortCounters {
         self.counters

@@ -267,7 +267,7 @@ fn links(commands: &[HalCommand]) -> BTreeMap<String, Link> {
 pub(crate) mod tests {
     use super::*;
 
-    /// A configuration in a folder that lives as long as it.
+    /// Returns a configuration in a folder that lives as long as it.
     pub(crate) fn configuration(
         files: &[(&str, &str)],
     ) -> (tempfile::TempDir, IniLines, Result<HalFiles, BadInput>) {

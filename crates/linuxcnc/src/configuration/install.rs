@@ -151,7 +151,7 @@ impl Blocks {
         self.after.entry(place.file.clone()).or_default().insert(place.line, lines);
     }
 
-    /// The files that change: what setup had added goes, and these blocks come.
+    /// Returns the files that change: what setup had added goes, and these blocks come.
     fn changes(&self, ini: &IniLines) -> Result<Vec<Change>, BadInput> {
         let mut changes = Vec::new();
         for path in ini.files() {

@@ -221,7 +221,7 @@ impl Writer<'_> {
         }
     }
 
-    /// The signal on the command or the feedback of a joint.
+    /// Returns the signal on the command or the feedback of a joint.
     fn signal_of_joint(&mut self, joint: &Joint, end: &str) -> String {
         let pin = format!("joint.{}.motor-pos-{end}", joint.number);
         if let Some(place) = self.hal.late_use(&pin) {
@@ -313,7 +313,7 @@ impl Writer<'_> {
         let _ = writeln!(text, "net trueup-lives {ALIVE}.out");
     }
 
-    /// The component and its wires.
+    /// Returns the component and its wires.
     fn component(&mut self, joints: &[Joint], demand: &Demand) -> String {
         let entry = demand.entry;
         let machine = match demand.corrects_screw {

@@ -24,7 +24,7 @@ const SYSTEMATIC: f64 = 0.03;
 /// A column that lies in the others but for this share of its size is one of them.
 const DEPENDENT: f64 = 1e-6;
 
-/// The steps between rows at `at`, in the median of them.
+/// Returns the steps between rows at `at`, in the median of them.
 pub(super) fn steps(at: &[f64], starts: &[bool]) -> Steps {
     let apart = |row: usize| at[row] - at[row - 1];
     let mut all: Vec<f64> =
@@ -48,14 +48,14 @@ pub(super) struct Estimate<'e> {
 }
 
 impl Estimate<'_> {
-    /// The factor with its interval; none where the instruments are weak.
+    /// Returns the factor with its interval; none where the instruments are weak.
     pub fn factor(&self) -> Option<Factor> {
         let (_, residual, used) = self.under(Noise::WHITE)?;
         let longest = noise::longest_memory(residual.len());
         self.under(noise::estimate(&residual, self.steps, longest, used)).map(|(factor, ..)| factor)
     }
 
-    /// The factor under this noise, what is left, and how many constants were fitted.
+    /// Returns the factor under this noise, what is left, and how many constants were fitted.
     fn under(&self, noise: Noise) -> Option<(Factor, Vec<f64>, usize)> {
         let whitener = Whitener::new(noise, self.steps);
         let mut explained = Basis::default();
@@ -109,7 +109,7 @@ impl Basis {
         }
     }
 
-    /// What is left of a column without these; twice, which is enough for any (Kahan).
+    /// Returns what is left of a column without these; twice, which is enough for any (Kahan).
     fn rest(&self, mut column: Vec<f64>) -> Vec<f64> {
         for _ in 0..2 {
             for of in &self.0 {

@@ -256,7 +256,7 @@ impl Rows {
     }
 }
 
-/// The time that the longest run takes, in s; 0 where there is no time.
+/// Returns the time that the longest run takes, in s; 0 where there is no time.
 fn longest_s(runs: &[&Unaided<'_>]) -> f64 {
     let longest = runs.iter().filter_map(|run| {
         let times = run.column("time_s")?;
@@ -269,8 +269,8 @@ fn longest_s(runs: &[&Unaided<'_>]) -> f64 {
     longest.fold(0.0, f64::max)
 }
 
-/// The machine without each part whose size may be wrong by itself, and with other lags: a fault of the model is not to
-/// be taken for one of the CNC.
+/// Returns the machine without each part whose size may be wrong by itself, and with other lags: a fault of the model
+/// is not to be taken for one of the CNC.
 fn variants(machine: &Machine, quantity: Quantity, longest_s: f64) -> Vec<Machine> {
     let mut all = Vec::new();
     if !machine.terms.is_empty() {
@@ -307,7 +307,7 @@ fn variants(machine: &Machine, quantity: Quantity, longest_s: f64) -> Vec<Machin
     all
 }
 
-/// What `machine` predicts of `quantity` in each row; `None` where a run lacks what that needs.
+/// Returns what `machine` predicts of `quantity` in each row; `None` where a run lacks what that needs.
 fn predicted(machine: &Machine, runs: &[&Unaided<'_>], quantity: Quantity) -> Option<Vec<f64>> {
     let all: Option<Vec<Vec<f64>>> =
         runs.iter().map(|run| predicted_um(machine, run, quantity)).collect();
@@ -326,7 +326,7 @@ pub fn predicted_um(machine: &Machine, run: &RunFile, quantity: Quantity) -> Opt
     Some(um)
 }
 
-/// What else an error may go with: temperatures, the speed, the load; for an axis its place and direction, and
+/// Returns what else an error may go with: temperatures, the speed, the load; for an axis its place and direction, and
 /// temperatures along it.
 fn recorded(runs: &[&Unaided<'_>], quantity: Quantity) -> Vec<Vec<f64>> {
     let joined = |name: &str| -> Option<Vec<f64>> {

@@ -118,7 +118,7 @@ pub(super) fn look(run: &RunFile) -> Clock {
     clock
 }
 
-/// The steps that differ from the others, and the median step; `None` where the record is not regular.
+/// Returns the steps that differ from the others, and the median step; `None` where the record is not regular.
 fn steps(run: &RunFile) -> Option<(Vec<Step>, f64)> {
     let time_s = run.column("time_s")?;
     let runs = run.column("run");
@@ -150,8 +150,8 @@ fn steps(run: &RunFile) -> Option<(Vec<Step>, f64)> {
     Some((steps.collect(), median_s))
 }
 
-/// Whether the values went on over the step after `rows[index]` as from one row to the next; `None` where they do not
-/// move enough to say that.
+/// Returns whether the values went on over the step after `rows[index]` as from one row to the next; `None` where they
+/// do not move enough to say that.
 fn is_slip(
     run: &RunFile,
     rows: &[usize],
@@ -226,8 +226,9 @@ mod tests {
 
     use super::*;
 
-    /// A row each 60 s for 120 rows, with these steps of the clock in the place of others. The temperature warms with
-    /// 100 minutes by its own clock, in which `passed` of each step is real; `run` changes at the rows of `parts`.
+    /// Returns a row each 60 s for 120 rows, with these steps of the clock in the place of others. The temperature
+    /// warms with 100 minutes by its own clock, in which `passed` of each step is real; `run` changes at the rows of
+    /// `parts`.
     fn found(
         steps: &[(usize, f64)],
         parts: &[usize],

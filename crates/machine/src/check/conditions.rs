@@ -51,7 +51,7 @@ fn is_free(name: &str) -> bool {
         && !["measured_", "predicted_", "bridge_"].iter().any(|start| name.starts_with(start))
 }
 
-/// The values of a column that has few; none of one that stands still.
+/// Returns the values of a column that has few; none of one that stands still.
 fn levels(column: &Column) -> Option<Vec<f64>> {
     let there = || column.values.iter().copied().filter(|value| value.is_finite());
     let mut bits: BTreeSet<u64> = BTreeSet::new();

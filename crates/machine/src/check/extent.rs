@@ -19,7 +19,7 @@ pub struct Part {
     pub largest_um: Option<f64>,
 }
 
-/// Both ends of an axis in mm: its travel, else where its tables and curves reach.
+/// Returns both ends of an axis in mm: its travel, else where its tables and curves reach.
 pub(crate) fn reach_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> {
     let model = &machine.axes[axis.index()];
     if model.travel_mm.is_some() {
@@ -43,8 +43,8 @@ pub(super) fn knots_mm(spline: &BSpline) -> Option<[f64; 2]> {
     Some([*spline.knots_mm.first()?, *spline.knots_mm.last()?])
 }
 
-/// What the file can make on an axis by its position and its heat, and by the terms of the elongation; without the
-/// elongation's source.
+/// Returns what the file can make on an axis by its position and its heat, and by the terms of the elongation; without
+/// the elongation's source.
 pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
     let model = &machine.axes[axis.index()];
     let key = |name: &str| format!("axis.{}.{name}", axis.name());
@@ -96,7 +96,7 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
     parts
 }
 
-/// The share of the growth that comes to lie along an axis: all of it where a head can turn the tool there.
+/// Returns the share of the growth that comes to lie along an axis: all of it where a head can turn the tool there.
 pub(super) fn along(machine: &Machine, axis: LinearAxis) -> f64 {
     match machine.head_axes.is_empty() {
         true => machine.tool_direction[axis.index()].abs(),
@@ -200,7 +200,7 @@ fn largest(um: &[f64]) -> f64 {
     um.iter().fold(0.0, |largest, um| um.abs().max(largest))
 }
 
-/// What the elongation can be, in µm either way, each source by its section; a sensor's is its range.
+/// Returns what the elongation can be, in µm either way, each source by its section; a sensor's is its range.
 pub(super) fn of_elongation(machine: &Machine) -> Vec<Part> {
     let spindle = &machine.spindle;
     if spindle.source.is_none() {

@@ -55,7 +55,7 @@ fn kelvin_of_law(machine: &Machine, thermal: &Thermal, key: &str) -> Vec<Warning
     }
 }
 
-/// Whether a temperature that stands for °C is one of a machine in kelvin.
+/// Returns whether a temperature that stands for °C is one of a machine in kelvin.
 pub(super) fn is_kelvin(temperature: f64) -> bool {
     let [coldest, hottest] = OF_A_MACHINE_C;
     (coldest..=hottest).contains(&(temperature - ZERO_C_IN_K))
@@ -84,7 +84,7 @@ fn constant_in_another_unit(machine: &Machine, thermal: &Thermal, key: &str) -> 
     is_used.then(|| too_small(machine, &key, thermal.constant_um_per_c, "µm")).flatten()
 }
 
-/// A value that is there and makes nothing: 11.5e-6 where 11.5 µm/(m·K) is meant.
+/// Returns a value that is there and makes nothing: 11.5e-6 where 11.5 µm/(m·K) is meant.
 fn too_small(machine: &Machine, key: &str, value: f64, of: &str) -> Option<Warning> {
     let made_um = (value * ROOM_C).abs();
     (value != 0.0 && made_um < SMALLEST_STEP_UM).then(|| {
@@ -104,7 +104,7 @@ fn too_small(machine: &Machine, key: &str, value: f64, of: &str) -> Option<Warni
     })
 }
 
-/// A coefficient in 1/K as µm/(m·K), in the digits that it has.
+/// Returns a coefficient in 1/K as µm/(m·K), in the digits that it has.
 fn per_million(value: f64) -> f64 {
     format!("{:.6e}", value * 1e6).parse().unwrap_or(value * 1e6)
 }

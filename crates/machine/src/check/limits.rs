@@ -47,7 +47,7 @@ fn taken_back(machine: &Machine) -> Option<Warning> {
     }
 }
 
-/// The fastest slew that an axis of this rapid traverse does not notice, in µm/s.
+/// Returns the fastest slew that an axis of this rapid traverse does not notice, in µm/s.
 pub(super) fn unnoticed_um_per_s(rapid_mm_per_min: f64) -> f64 {
     const UM_PER_S: f64 = 1000.0 / 60.0;
     rapid_mm_per_min * UM_PER_S * SHARE_OF_RAPID

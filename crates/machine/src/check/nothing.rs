@@ -6,7 +6,7 @@ use super::{
 };
 use crate::file::{LinearAxis, Machine};
 
-/// A warning for a file with which every offset stays at 0; `None` where something is corrected.
+/// Returns a warning for a file with which every offset stays at 0; `None` where something is corrected.
 #[must_use]
 pub fn corrects_nothing(machine: &Machine) -> Option<Warning> {
     let is_there = |um: Option<f64>| um != Some(0.0);

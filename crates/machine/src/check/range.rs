@@ -44,14 +44,14 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// Whether it is refused, unless its key is among those that the user accepts.
+    /// Returns whether it is refused, unless its key is among those that the user accepts.
     #[must_use]
     pub fn is_refused(&self, accepted: &[String]) -> bool {
         self.grade == Grade::Impossible && !accepted.contains(&self.key)
     }
 }
 
-/// All that is refused of these as one error; `None` where nothing is.
+/// Returns all that is refused of these as one error; `None` where nothing is.
 #[must_use]
 pub fn refusal(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
     let refused = findings.iter().filter(|finding| finding.is_refused(accepted));
@@ -62,7 +62,7 @@ pub fn refusal(findings: &[Finding], accepted: &[String]) -> Option<BadInput> {
     }))
 }
 
-/// The values of a machine file that are unlikely or impossible.
+/// Returns the values of a machine file that are unlikely or impossible.
 #[must_use]
 pub fn of_machine(machine: &Machine) -> Vec<Finding> {
     let entries = values::entries(machine).into_iter();
@@ -81,12 +81,12 @@ pub fn of_machine(machine: &Machine) -> Vec<Finding> {
     findings
 }
 
-/// The row of the table for a key.
+/// Returns the row of the table for a key.
 fn range_of(key: &str) -> Option<&'static Range> {
     RANGES.iter().find(|range| matches(range.keys, key))
 }
 
-/// Whether `key` is of the form of `pattern`, in which `*` stands for any text.
+/// Returns whether `key` is of the form of `pattern`, in which `*` stands for any text.
 fn matches(pattern: &str, key: &str) -> bool {
     match pattern.split_once('*') {
         None => pattern == key,
@@ -97,7 +97,7 @@ fn matches(pattern: &str, key: &str) -> bool {
     }
 }
 
-/// The value that is farthest outside, and how far that is.
+/// Returns the value that is farthest outside, and how far that is.
 fn worst(range: &Range, values: &[f64]) -> Option<(Grade, f64)> {
     let beyond = |[low, high]: [f64; 2]| {
         let outside = values.iter().copied().filter(move |value| !(low..=high).contains(value));
@@ -134,7 +134,7 @@ fn finding(machine: &Machine, key: String, range: &Range, grade: Grade, value: f
     Finding { key, grade, warning }
 }
 
-/// A value as it stands in a file, or to five digits where it has more than a user would write.
+/// Returns a value as it stands in a file, or to five digits where it has more than a user would write.
 fn shown(value: f64) -> String {
     const DIGITS: usize = 8;
     let whole = format!("{value}");
@@ -182,7 +182,7 @@ fn negative_backlash(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
     })
 }
 
-/// The mean of a reverse table less that of the forward one.
+/// Returns the mean of a reverse table less that of the forward one.
 fn mean_width_um(pitch: &Pitch) -> Option<f64> {
     let reverse_um = pitch.reverse_um.as_ref()?;
     let widths =
@@ -190,7 +190,7 @@ fn mean_width_um(pitch: &Pitch) -> Option<f64> {
     Some(widths.sum::<f64>() / reverse_um.len().max(1) as f64)
 }
 
-/// A table of an axis's heat whose slope falls as it becomes warmer.
+/// Returns a table of an axis's heat whose slope falls as it becomes warmer.
 fn shrinking_table(machine: &Machine, axis: LinearAxis) -> Option<Finding> {
     let thermal = machine.axes[axis.index()].thermal.as_ref()?;
     let rows = thermal.table.as_ref().filter(|_| thermal.mode.has_position())?;

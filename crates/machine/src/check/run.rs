@@ -43,7 +43,7 @@ pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning>
     warnings
 }
 
-/// The columns that look like another unit next to the machine file.
+/// Returns the columns that look like another unit next to the machine file.
 pub(super) fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     let of_sensor = run.columns().iter().find(|column| column.name == "sensor_counts");
     let volts = of_sensor.and_then(|column| Some(("sensor_counts".into(), volts(run, column)?)));
@@ -63,7 +63,7 @@ fn values(column: &Column) -> impl Iterator<Item = f64> {
     column.values.iter().copied().filter(|value| !value.is_nan())
 }
 
-/// The least and the most of a column with values enough.
+/// Returns the least and the most of a column with values enough.
 fn range(column: &Column) -> Option<[f64; 2]> {
     let (mut range, mut rows) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
     for value in values(column) {
@@ -103,7 +103,7 @@ fn ends_at_s7(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warni
     })
 }
 
-/// The positions of each axis that the machine file has a travel of: their column, range and travel.
+/// Returns the positions of each axis that the machine file has a travel of: their column, range and travel.
 fn travels(run: &RunFile, machine: &Machine) -> Vec<(String, [f64; 2], [f64; 2])> {
     let axes = LinearAxis::ALL.into_iter().filter_map(|axis| {
         let travel_mm = machine.axes[axis.index()].travel_mm?;
@@ -144,7 +144,7 @@ fn outside_travel(run: &RunFile, machine: &Machine) -> Vec<Warning> {
     axes.collect()
 }
 
-/// The unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
+/// Returns the unit in which positions go from one end of the travel to the other; `None` where that is mm, or they do
 /// not.
 fn unit_of_positions(range: [f64; 2], travel_mm: [f64; 2]) -> Option<&'static str> {
     const WHOLE: std::ops::RangeInclusive<f64> = 0.8..=1.02;
@@ -168,7 +168,8 @@ struct Compared {
     is_unit: bool,
 }
 
-/// What was measured compared with what the model says: the same curve, a thousand times as large or as small, or minus it.
+/// Returns what was measured compared with what the model says: the same curve, a thousand times as large or as small,
+/// or minus it.
 fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
     let names = Quantity::ALL.map(|quantity| format!("measured_{}_um", quantity.name()));
     if names.iter().all(|name| run.column(name).is_none()) {
@@ -212,7 +213,7 @@ fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
     units.collect()
 }
 
-/// The slope of the line through pairs (predicted, measured), where it explains more than half of the
+/// Returns the slope of the line through pairs (predicted, measured), where it explains more than half of the
 /// latter; `None` where there is nothing to compare.
 fn shared_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let pairs: Vec<(f64, f64)> = pairs.collect();

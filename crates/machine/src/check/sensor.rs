@@ -93,7 +93,7 @@ fn counts_of_another_input(
     ))
 }
 
-/// Whether a measuring range is one that stands on a data sheet: a multiple of 50 µm, to a part in 10 000.
+/// Returns whether a measuring range is one that stands on a data sheet: a multiple of 50 µm, to a part in 10 000.
 /// One in a hundred ranges that are none is so by chance.
 fn is_round(range_um: f64) -> bool {
     const STEP_UM: f64 = 50.0;

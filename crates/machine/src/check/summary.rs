@@ -59,7 +59,7 @@ pub struct SensorSummary {
 }
 
 impl AxisSummary {
-    /// The largest error of all parts together, in µm: what they make if all are at their largest and of
+    /// Returns the largest error of all parts together, in µm: what they make if all are at their largest and of
     /// one sign. `None` where one of them grows with a travel that is not known.
     #[must_use]
     pub fn largest_um(&self) -> Option<f64> {
@@ -93,7 +93,7 @@ impl Summary {
     }
 }
 
-/// The parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
+/// Returns the parts of an axis, and the share of the growth that comes to lie along it: all of it where a head
 /// can turn the tool there.
 fn parts(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
     let share = along(machine, axis);

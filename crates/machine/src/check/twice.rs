@@ -24,7 +24,7 @@ fn are_alike(a: f64, b: f64) -> bool {
     a * b > 0.0 && (a - b).abs() <= ALIKE * a.abs().max(b.abs())
 }
 
-/// Two terms with the same cause, quantity and numbers.
+/// Returns two terms with the same cause, quantity and numbers.
 fn pasted_twice(machine: &Machine) -> Vec<Warning> {
     let terms = machine.terms.iter().enumerate();
     let repeats = terms.filter_map(|(index, term)| {
@@ -38,7 +38,7 @@ fn pasted_twice(machine: &Machine) -> Vec<Warning> {
     repeats.collect()
 }
 
-/// A `backlash` term beside a section that has the width already.
+/// Returns a `backlash` term beside a section that has the width already.
 fn backlash(machine: &Machine) -> Vec<Warning> {
     let terms = machine.terms.iter().enumerate();
     let doubled = terms.filter_map(|(index, term)| {
@@ -68,7 +68,7 @@ fn backlash(machine: &Machine) -> Vec<Warning> {
     doubled.collect()
 }
 
-/// A squareness beside a straightness curve of the same two axes that still contains it: its ends are as
+/// Returns a squareness beside a straightness curve of the same two axes that still contains it: its ends are as
 /// far apart as the squareness makes them.
 fn squareness(machine: &Machine) -> Vec<Warning> {
     let lines = machine.squareness.iter();
@@ -92,7 +92,7 @@ fn squareness(machine: &Machine) -> Vec<Warning> {
     doubled.collect()
 }
 
-/// The growth of the spindle and a constant of the axis along it by the same thermometer.
+/// Returns the growth of the spindle and a constant of the axis along it by the same thermometer.
 fn heat_of_the_tool(machine: &Machine) -> Option<Warning> {
     let spindle = machine.spindle.temperature.as_ref();
     let spindle =

@@ -57,7 +57,7 @@ const MOST_RANGE_UM: f64 = 20_000.0;
 /// A spindle that never turns faster than this in r/min has its speed in 1000 r/min.
 const MOST_KRPM: f64 = 40.0;
 
-/// The columns of `run` that are in another unit than their names say.
+/// Returns the columns of `run` that are in another unit than their names say.
 pub(super) fn findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
     let of_laws: Vec<String> = machine.map(required_columns).unwrap_or_default();
     let thermometers: Vec<&Column> =
@@ -92,7 +92,7 @@ fn finding(run: &RunFile, column: &str, grade: Grade, what: &str, help: &str) ->
     Finding { key: column.into(), grade, warning }
 }
 
-/// The least and the most of a column with values enough.
+/// Returns the least and the most of a column with values enough.
 fn range(values: &[f64]) -> Option<[f64; 2]> {
     let there = values.iter().copied().filter(|value| !value.is_nan());
     let (mut range, mut rows) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
@@ -142,8 +142,8 @@ fn temperature(
     })
 }
 
-/// Whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show what it
-/// would in °C. What is warm from the first row on is no °F beside them.
+/// Returns whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show
+/// what it would in °C. What is warm from the first row on is no °F beside them.
 fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     let Some([least_f, most_f]) = range(&column.values) else { return true };
     let others = thermometers.iter().filter(|other| other.name != column.name);
@@ -156,7 +156,7 @@ fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     })
 }
 
-/// Whether a machine has this temperature, in °C.
+/// Returns whether a machine has this temperature, in °C.
 fn is_machine(temperature_c: f64) -> bool {
     let [coldest, hottest] = super::heat::OF_A_MACHINE_C;
     (coldest..=hottest).contains(&temperature_c)
@@ -221,7 +221,7 @@ fn is_fluid(name: &str) -> bool {
     ["coolant", "oil", "air", "water"].iter().any(|word| name.contains(word))
 }
 
-/// The longest time that the spindle turns without a stop, in s.
+/// Returns the longest time that the spindle turns without a stop, in s.
 fn longest_turning_s(time_s: &[f64], rpm: &[f64]) -> f64 {
     let (mut longest_s, mut since) = (0.0_f64, None);
     for (&now_s, &rpm) in time_s.iter().zip(rpm) {
@@ -235,7 +235,7 @@ fn longest_turning_s(time_s: &[f64], rpm: &[f64]) -> f64 {
     longest_s
 }
 
-/// How long a smooth column takes through its range at its fastest, in s; `None` where it is not smooth, or its
+/// Returns how long a smooth column takes through its range at its fastest, in s; `None` where it is not smooth, or its
 /// range is that of a hall.
 fn through_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     const ROWS: usize = 100;
@@ -257,7 +257,7 @@ fn through_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     (apart_s >= SLOW_ROWS_S).then(|| (most - least) * apart_s / step)
 }
 
-/// The fastest change of a column over [`RATE_ROWS`] rows, in K/s.
+/// Returns the fastest change of a column over [`RATE_ROWS`] rows, in K/s.
 fn fastest_c_per_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let windows = values.windows(RATE_ROWS).zip(time_s.windows(RATE_ROWS));

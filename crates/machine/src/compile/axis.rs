@@ -125,7 +125,7 @@ pub(super) fn view<'t>(
     Ok(calibration::AxisModel { thermal, pitch, dual, backlash, travel, rapid })
 }
 
-/// The axis as a user writes it.
+/// Returns the axis as a user writes it.
 pub(super) fn inverse(axis: &calibration::AxisModel<'_>) -> file::AxisModel {
     let calibration::AxisModel { thermal, pitch, dual, backlash, travel, rapid } = axis;
     let has_backlash = *backlash != Fine::ZERO || *travel != travel::Config::default();

@@ -65,7 +65,7 @@ pub(super) struct Piece<'f> {
 /// Why a curve cannot be made: goes on after its name.
 pub(super) type Reason = String;
 
-/// The pieces of a B-spline between its distinct knots.
+/// Returns the pieces of a B-spline between its distinct knots.
 ///
 /// # Errors
 /// A knot is outside the board's positions, or two are not a position unit apart.
@@ -92,7 +92,7 @@ fn units(mm: f64) -> Result<i32, Reason> {
         .ok_or_else(|| format!("reaches {mm} mm, beyond the board's ±21474 mm"))
 }
 
-/// The polynomial of one knot span by de Boor's recurrence, also beyond the span's ends.
+/// Returns the polynomial of one knot span by de Boor's recurrence, also beyond the span's ends.
 fn in_span(spline: &BSpline, span: usize, x: f64) -> f64 {
     let degree = spline.order - 1;
     let knots = &spline.knots_mm;
@@ -174,7 +174,7 @@ fn add_segments(
     add_segments(segments, piece, middle, end)
 }
 
-/// The coefficients, constant first, of the cubic through four points (Newton's divided
+/// Returns the coefficients, constant first, of the cubic through four points (Newton's divided
 /// differences, multiplied out).
 fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
     let mut d = y;
@@ -194,7 +194,7 @@ fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
     c
 }
 
-/// The bucket index over ends of segments, counted from the first knot: as few buckets as keep the
+/// Returns the bucket index over ends of segments, counted from the first knot: as few buckets as keep the
 /// search short. A bucket names the segment of its first position.
 fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
     /// Entries that every curve may have for a segment: 4 bytes.
@@ -253,7 +253,7 @@ fn largest_difference_nm(curve: &Curve<'_>, pieces: &[Piece<'_>]) -> f64 {
     worst
 }
 
-/// The steepest slope of a curve in µm per mm, and where it is in mm.
+/// Returns the steepest slope of a curve in µm per mm, and where it is in mm.
 pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
     let mut worst = (0.0, 0.0);
     for piece in pieces {
@@ -273,7 +273,7 @@ pub(super) fn steepest(pieces: &[Piece<'_>]) -> (f64, f64) {
     worst
 }
 
-/// A spline, and its largest difference from the model in nm.
+/// Returns a spline, and its largest difference from the model in nm.
 pub(super) fn compile_curve(spline: &BSpline) -> Result<(OwnedCurve, f64), String> {
     let pieces = pieces_of(spline)?;
     let curve = build(&pieces)?;
@@ -281,7 +281,7 @@ pub(super) fn compile_curve(spline: &BSpline) -> Result<(OwnedCurve, f64), Strin
     Ok((curve, difference_nm))
 }
 
-/// The curve as a user writes it: each knot three times.
+/// Returns the curve as a user writes it: each knot three times.
 pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
     let mm = |place: i32| written(place, UNITS_PER_MM);
     let mut start = curve.first().0;
@@ -305,7 +305,7 @@ pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
     BSpline { order: 4, knots_mm, control_um: um.collect() }
 }
 
-/// The Bézier points of a segment that begins at `start`, in [`Fine`] units.
+/// Returns the Bézier points of a segment that begins at `start`, in [`Fine`] units.
 fn bezier_points(segment: &Segment, start: i32) -> [f64; 4] {
     let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);
     let span = 2_f64.powi(32 - i32::from(segment.shift));

@@ -25,12 +25,12 @@ const CHECKED_MM: f64 = 15_000.0;
 /// The pieces of a law.
 pub(super) type Pieces = Vec<[u8; PIECE_SIZE]>;
 
-/// A temperature in the board's unit.
+/// Returns a temperature in the board's unit.
 pub(super) fn temperature(celsius: f64) -> Option<Temperature> {
     rounded(celsius * f64::from(Temperature::PER_KELVIN)).map(Temperature)
 }
 
-/// The law of an axis, and its largest difference from the model in nm.
+/// Returns the law of an axis, and its largest difference from the model in nm.
 pub(super) fn axis_law(thermal: &Thermal) -> Result<(Pieces, f64), Reason> {
     let rows;
     let table: &[ThermalRow] = match &thermal.table {
@@ -67,7 +67,7 @@ pub(super) fn axis_law(thermal: &Thermal) -> Result<(Pieces, f64), Reason> {
     Ok((pieces, difference_nm))
 }
 
-/// The law of a spindle's temperature: k·(T − T₀).
+/// Returns the law of a spindle's temperature: k·(T − T₀).
 pub(super) fn spindle_law(k_um_per_c: f64, reference_c: f64) -> Result<Pieces, Reason> {
     let at =
         |temperature_c, constant_um| ThermalRow { temperature_c, constant_um, slope_um_per_m: 0.0 };
@@ -75,7 +75,7 @@ pub(super) fn spindle_law(k_um_per_c: f64, reference_c: f64) -> Result<Pieces, R
     Ok(vec![line])
 }
 
-/// A line from row to row; before the first and after the last their values are held.
+/// Returns a line from row to row; before the first and after the last their values are held.
 fn table_pieces(rows: &[ThermalRow]) -> Result<Pieces, Reason> {
     let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return Ok(Vec::new()) };
     let mut pieces = vec![piece(first, None)?];
@@ -152,7 +152,7 @@ fn axis_difference_nm(thermal: &Thermal, pieces: &Pieces) -> f64 {
     worst
 }
 
-/// The law of a spindle's temperature as a user writes it.
+/// Returns the law of a spindle's temperature as a user writes it.
 pub(super) fn inverse_of_spindle(temperature: &SpindleTemperature<'_>) -> TemperatureModel {
     let piece = temperature.law.pieces.first().map(Piece::from_bytes).unwrap_or_default();
     TemperatureModel {
@@ -163,7 +163,7 @@ pub(super) fn inverse_of_spindle(temperature: &SpindleTemperature<'_>) -> Temper
     }
 }
 
-/// The law of an axis as a user writes it.
+/// Returns the law of an axis as a user writes it.
 pub(super) fn inverse_of_axis(thermal: &AxisThermal<'_>) -> Thermal {
     let pieces: Vec<Piece> = thermal.law.pieces.iter().map(Piece::from_bytes).collect();
     let has_constant = pieces.iter().any(|it| it.constant != Fine::ZERO || it.constant_slope != 0);

@@ -32,7 +32,7 @@ const DELIVERED_PER_COUNT: f64 = 256.0;
 pub const SHOWN_INPUT: SensorInput =
     SensorInput { volts_full_scale: 10.0, counts_full_scale: 4096.0, divider: 0.33 };
 
-/// The channel of a temperature column that the section `key` uses.
+/// Returns the channel of a temperature column that the section `key` uses.
 pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, BadInput> {
     let input = machine.inputs.as_ref().and_then(|inputs| inputs.temperatures.get(column));
     input.map(|input| input.channel).ok_or_else(|| {
@@ -43,7 +43,7 @@ pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, 
     })
 }
 
-/// The lines of `[inputs]` that a board needs beside those of `machine` for the temperatures of its laws and
+/// Returns the lines of `[inputs]` that a board needs beside those of `machine` for the temperatures of its laws and
 /// terms; each gets the first channel that is free. Nothing where none is missing.
 ///
 /// What is connected there nobody knows here: a PT100 is written, the usual thermometer.
@@ -70,7 +70,7 @@ pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     lines
 }
 
-/// The lines for the conditions of its terms, each with a bit of its own.
+/// Returns the lines for the conditions of its terms, each with a bit of its own.
 fn missing_conditions(machine: &Machine) -> Vec<String> {
     let mut inputs = machine.inputs.clone().unwrap_or_default();
     let mut lines = Vec::new();
@@ -179,7 +179,7 @@ pub(super) fn linear_thermometer(zero_counts: f64, counts_per_c: f64) -> Option<
     Some(Thermometer::Linear { zero, slope, shift })
 }
 
-/// The inputs that a calibration knows; `None` where nothing is connected.
+/// Returns the inputs that a calibration knows; `None` where nothing is connected.
 pub(super) fn inverse(
     has_sensor: bool,
     thermometers: &[Option<Thermometer>; CHANNELS],

@@ -10,7 +10,7 @@ use crate::{
     stored::rounded,
 };
 
-/// The tool's direction and the axes that turn it, on the board.
+/// Returns the tool's direction and the axes that turn it, on the board.
 pub(super) fn compile(tool_direction: [f64; 3], head_axes: &[RotaryAxis]) -> Kinematics {
     Kinematics {
         zero: compile_direction(tool_direction),
@@ -32,7 +32,7 @@ fn compile_direction(tool_direction: [f64; 3]) -> Direction {
     Direction(tool_direction.map(|component| stored(component).expect("a length of 1")))
 }
 
-/// What a user writes: the kind of machine, its axes and the direction in the fewest decimals,
+/// Returns what a user writes: the kind of machine, its axes and the direction in the fewest decimals,
 /// which is not of length 1.
 pub(super) fn inverse(kinematics: &Kinematics) -> (Kind, Vec<RotaryAxis>, [f64; 3]) {
     let axes: Vec<RotaryAxis> = kinematics
@@ -54,7 +54,7 @@ pub(super) fn inverse(kinematics: &Kinematics) -> (Kind, Vec<RotaryAxis>, [f64; 
     (kind, axes, written_direction(kinematics.zero))
 }
 
-/// The direction with the fewest decimals that is stored as `stored` again.
+/// Returns the direction with the fewest decimals that is stored as `stored` again.
 fn written_direction(stored: Direction) -> [f64; 3] {
     const MOST_DECIMALS: i32 = 12;
     let unit = unit_vector_near(stored);
@@ -68,7 +68,7 @@ fn written_direction(stored: Direction) -> [f64; 3] {
         .unwrap_or(unit)
 }
 
-/// Whether the machine file's reader and the compiler make `stored` of `written`.
+/// Returns whether the machine file's reader and the compiler make `stored` of `written`.
 fn is_stored_as(written: [f64; 3], stored: Direction) -> bool {
     let length = written.iter().map(|component| component * component).sum::<f64>().sqrt();
     let one = f64::from(Direction::ONE);
@@ -76,7 +76,7 @@ fn is_stored_as(written: [f64; 3], stored: Direction) -> bool {
     written.map(|component| (component / length * one).round()) == stored.0.map(f64::from)
 }
 
-/// A vector of length 1 whose every component rounds to that of `stored`.
+/// Returns a vector of length 1 whose every component rounds to that of `stored`.
 ///
 /// The stored vector is not of length 1, and to scale it can move a component by up to 0.68 of its
 /// last place, into the next one. What rounding has added to the length is therefore taken back in

@@ -21,7 +21,7 @@ pub(super) fn smoothing_factor(time_constant_s: f64) -> Result<SmoothingFactor, 
     Ok(SmoothingFactor(rounded_unsigned(factor).unwrap_or(u32::MAX)))
 }
 
-/// The smoothing factors while it rises and while it falls, which is the same unless it is given.
+/// Returns the smoothing factors while it rises and while it falls, which is the same unless it is given.
 pub(super) fn smoothing_factors(
     rising_s: f64,
     falling_s: Option<f64>,
@@ -34,13 +34,13 @@ pub(crate) fn time_constant_s(smoothing: SmoothingFactor) -> f64 {
     -STEP_S / (-f64::from(smoothing.0) / SMOOTHING_ONE).ln_1p()
 }
 
-/// Whether a lag of this time constant is stored as `smoothing`.
+/// Returns whether a lag of this time constant is stored as `smoothing`.
 pub(super) fn is_smoothing(time_constant_s: f64, smoothing: SmoothingFactor) -> bool {
     let stored = -(-STEP_S / time_constant_s).exp_m1() * SMOOTHING_ONE;
     (stored - f64::from(smoothing.0)).abs() < 0.49
 }
 
-/// The time constant that a user writes for `smoothing`; 0: no lag.
+/// Returns the time constant that a user writes for `smoothing`; 0: no lag.
 pub(super) fn written_time_constant_s(smoothing: SmoothingFactor) -> f64 {
     if smoothing == SmoothingFactor::NO_LAG {
         return 0.0;

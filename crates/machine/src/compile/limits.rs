@@ -15,7 +15,7 @@ use crate::{
 /// Caps of what was learned have one decimal.
 const CAPS_PER_UNIT: f64 = 10.0;
 
-/// The limits on the board.
+/// Returns the limits on the board.
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "held to 0…255 first")]
 pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
     let limits = &machine.limits;
@@ -84,7 +84,7 @@ pub(super) fn compile(machine: &Machine) -> Result<Limits, BadInput> {
     })
 }
 
-/// The limits as a user writes them.
+/// Returns the limits as a user writes them.
 pub(super) fn inverse(limits: &Limits) -> file::Limits {
     file::Limits {
         max_um: limits.max.map(|max| f64::from(max.0) / NM_PER_UM),

@@ -7,7 +7,7 @@ use crate::{file::Machine, location::BadInput, stored::rounded};
 
 const PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
 
-/// The names on the board.
+/// Returns the names on the board.
 pub(super) fn names(machine: &Machine) -> Names<'_> {
     Names {
         machine: machine.name.as_bytes(),
@@ -16,7 +16,7 @@ pub(super) fn names(machine: &Machine) -> Names<'_> {
     }
 }
 
-/// A name as a user writes it; `None`: there is none.
+/// Returns a name as a user writes it; `None`: there is none.
 pub(super) fn text(stored: &[u8]) -> Option<String> {
     Some(String::from_utf8_lossy(stored).into_owned()).filter(|text| !text.trim().is_empty())
 }
@@ -32,7 +32,7 @@ pub(super) fn cold_within(machine: &Machine) -> Result<Temperature, BadInput> {
     })
 }
 
-/// The same as a user writes it.
+/// Returns the same as a user writes it.
 pub(super) fn cold_within_c(stored: Temperature) -> f64 {
     f64::from(stored.0) / PER_KELVIN
 }

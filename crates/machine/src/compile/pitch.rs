@@ -30,7 +30,7 @@ impl PitchTables {
     }
 }
 
-/// A pitch table, and its largest difference from the model in nm.
+/// Returns a pitch table, and its largest difference from the model in nm.
 pub(super) fn compile_pitch(pitch: &file::Pitch) -> Result<(PitchTables, f64), String> {
     let start = rounded(pitch.start_mm * UNITS_PER_MM)
         .map(Position)
@@ -72,7 +72,7 @@ fn pitch_difference_nm(pitch: &file::Pitch, board: &Pitch<'_>) -> f64 {
     worst
 }
 
-/// The table as a user writes it.
+/// Returns the table as a user writes it.
 pub(super) fn inverse(pitch: &Pitch<'_>) -> file::Pitch {
     let errors = |points: &[[u8; 4]]| -> Vec<f64> {
         points.iter().map(|point| written(i32::from_le_bytes(*point), FINE_PER_UM)).collect()

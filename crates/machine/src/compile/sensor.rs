@@ -34,7 +34,7 @@ const SLOPE_ONE: f64 = (1_u64 << Slope::FRACTION_BITS) as f64;
 /// A slope that the board's integers hold as 0; a machine file must not state 0 itself.
 pub(crate) const UM_PER_COUNT_OF_NO_SLOPE: f64 = 1e-12;
 
-/// The elongation in nm that `law` gives at full resolution: before the board rounds the reading
+/// Returns the elongation in nm that `law` gives at full resolution: before the board rounds the reading
 /// and the result.
 #[must_use]
 pub fn stored_law_nm(law: &SensorLaw, reading: f64) -> f64 {
@@ -42,7 +42,7 @@ pub fn stored_law_nm(law: &SensorLaw, reading: f64) -> f64 {
     f64::from(law.k0.0) + (reading - f64::from(law.zero.0)) * slope_nm
 }
 
-/// The law, and its largest difference from the model in nm.
+/// Returns the law, and its largest difference from the model in nm.
 pub(super) fn compile(
     machine: &Machine,
     model: &SensorModel,
@@ -105,7 +105,7 @@ fn largest_difference_nm(law: &SensorLaw, model: &SensorModel, input: &SensorInp
     difference(0.0).max(difference(input.counts_full_scale))
 }
 
-/// The law in counts that are codes.
+/// Returns the law in counts that are codes.
 pub(super) fn inverse(law: &SensorLaw) -> SensorModel {
     let readings_per_count = f64::from(READINGS_PER_CODE);
     let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;

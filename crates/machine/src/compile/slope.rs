@@ -34,13 +34,13 @@ pub struct Slope {
 }
 
 impl Slope {
-    /// The steeper one, whatever their signs are.
+    /// Returns the steeper one, whatever their signs are.
     fn or(self, other: Self) -> Self {
         if other.um_per_mm.abs() > self.um_per_mm.abs() { other } else { self }
     }
 }
 
-/// The steepest slope that a board with these limits follows, in µm per mm, above 0.
+/// Returns the steepest slope that a board with these limits follows, in µm per mm, above 0.
 ///
 /// ```
 /// use trueup_machine::{compile::steepest_um_per_mm, file::Limits};
@@ -51,7 +51,7 @@ pub fn steepest_um_per_mm(limits: &Limits) -> f64 {
     limits.slew_um_per_s / SLOWEST_FEED_MM_PER_S
 }
 
-/// The rule that a slope breaks on a board with these limits; none that it keeps.
+/// Returns the rule that a slope breaks on a board with these limits; none that it keeps.
 #[must_use]
 pub fn too_steep(slope: Slope, limits: &Limits) -> Option<String> {
     let Slope { um_per_mm, at_mm } = slope;
@@ -65,7 +65,7 @@ pub fn too_steep(slope: Slope, limits: &Limits) -> Option<String> {
     })
 }
 
-/// The steepest slope of a table.
+/// Returns the steepest slope of a table.
 #[must_use]
 pub fn of_table(pitch: &Pitch) -> Slope {
     let tables = [Some(&pitch.forward_um), pitch.reverse_um.as_ref()].into_iter().flatten();
@@ -78,14 +78,14 @@ pub fn of_table(pitch: &Pitch) -> Slope {
     slopes.fold(Slope::default(), Slope::or)
 }
 
-/// The steepest slope of a curve; none of one that the board cannot have at all.
+/// Returns the steepest slope of a curve; none of one that the board cannot have at all.
 #[must_use]
 pub fn of_curve(spline: &BSpline) -> Slope {
     let (um_per_mm, at_mm) = pieces_of(spline).map_or((0.0, 0.0), |pieces| steepest(&pieces));
     Slope { um_per_mm, at_mm }
 }
 
-/// The steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
+/// Returns the steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
 #[must_use]
 pub fn of_effect(effect: &Effect) -> Slope {
     effect.on_board().iter().map(of_form).fold(Slope::default(), Slope::or)

@@ -50,7 +50,7 @@ impl SpindleTables {
         Ok(Self { sensor: law, temperature: temperature.transpose()?, warmup: warmup.transpose()? })
     }
 
-    /// The source first, then what else is configured, the better first.
+    /// Returns the source first, then what else is configured, the better first.
     pub(super) fn view(
         &self,
         machine: &Machine,
@@ -104,13 +104,13 @@ impl SpindleTables {
     }
 }
 
-/// Whether a law of the sensor is there.
+/// Returns whether a law of the sensor is there.
 pub(super) fn has_sensor(spindle: &calibration::SpindleModel<'_>) -> bool {
     spindle.sensor != SensorLaw::default()
         || spindle.chain.contains(&Some(calibration::ElongationSource::Sensor))
 }
 
-/// The spindle as a user writes it.
+/// Returns the spindle as a user writes it.
 pub(super) fn inverse(spindle: &calibration::SpindleModel<'_>) -> Spindle {
     let source = |source: calibration::ElongationSource| match source {
         calibration::ElongationSource::Sensor => file::ElongationSource::Sensor,

@@ -7,7 +7,7 @@ use crate::{
     stored::{GRADIENT_PER_UM_PER_M, NM_PER_UM, rounded, written},
 };
 
-/// The place of a pair of axes in the board's order.
+/// Returns the place of a pair of axes in the board's order.
 pub(super) fn crossed(error: LinearAxis, along: LinearAxis) -> usize {
     let pair = (error.index(), along.index());
     AXIS_PAIRS
@@ -16,22 +16,22 @@ pub(super) fn crossed(error: LinearAxis, along: LinearAxis) -> usize {
         .expect("two different axes are one of the six pairs")
 }
 
-/// The axis on the board.
+/// Returns the axis on the board.
 pub(super) fn linear(axis: LinearAxis) -> cnc::LinearAxis {
     cnc::LinearAxis::ALL[axis.index()]
 }
 
-/// The board's axis in the machine file.
+/// Returns the board's axis in the machine file.
 pub(super) fn linear_inverse(axis: cnc::LinearAxis) -> LinearAxis {
     LinearAxis::ALL[axis as usize]
 }
 
-/// The pairs in the board's order, each the axis in error and the one that moves.
+/// Returns the pairs in the board's order, each the axis in error and the one that moves.
 pub(super) fn pairs() -> [(LinearAxis, LinearAxis); 6] {
     AXIS_PAIRS.map(|(error, along)| (linear_inverse(error), linear_inverse(along)))
 }
 
-/// A squareness, and its largest difference from the model in nm over 15 m.
+/// Returns a squareness, and its largest difference from the model in nm over 15 m.
 pub(super) fn compile_squareness(um_per_m: f64) -> Result<(Gradient, f64), String> {
     const CHECKED_M: f64 = 15.0;
     let exact = um_per_m * GRADIENT_PER_UM_PER_M;
@@ -41,7 +41,7 @@ pub(super) fn compile_squareness(um_per_m: f64) -> Result<(Gradient, f64), Strin
     Ok((Gradient(gradient), difference.abs() * CHECKED_M * NM_PER_UM))
 }
 
-/// The slopes that are not 0, as a user writes them.
+/// Returns the slopes that are not 0, as a user writes them.
 pub(super) fn inverse(gradients: &[Gradient; 6]) -> Vec<Squareness> {
     let slope = |((error, along), gradient): (_, &Gradient)| Squareness {
         error,

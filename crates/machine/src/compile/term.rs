@@ -81,12 +81,12 @@ impl Owned {
     }
 }
 
-/// What the calibration holds.
+/// Returns what the calibration holds.
 pub(super) fn views(owned: &[Owned]) -> [Option<Term<'_>>; MAX_TERMS] {
     std::array::from_fn(|index| owned.get(index).map(Owned::view))
 }
 
-/// The terms of `machine`, which has none that only explain.
+/// Returns the terms of `machine`, which has none that only explain.
 pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<Owned>, BadInput> {
     let mut owned = Vec::new();
     let ordered = in_order(&machine.terms);
@@ -140,7 +140,7 @@ pub(super) fn terms(machine: &Machine, account: &mut Account<'_>) -> Result<Vec<
 /// Number and largest difference from the model in nm, or why the board cannot.
 type Made<T> = Result<(T, f64), String>;
 
-/// The machine with the thermal laws that terms bring to axes that have none.
+/// Returns the machine with the thermal laws that terms bring to axes that have none.
 pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Machine>, BadInput> {
     let mut with = machine;
     for index in 0..with.terms.len() {
@@ -158,7 +158,7 @@ pub(super) fn with_thermal_laws(machine: Cow<'_, Machine>) -> Result<Cow<'_, Mac
     Ok(with)
 }
 
-/// A form as the board runs it; none: the constant alone.
+/// Returns a form as the board runs it; none: the constant alone.
 fn effect(
     machine: &Machine,
     key: &str,
@@ -259,14 +259,14 @@ fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
 
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
 
-/// A length, and its rounding in nm.
+/// Returns a length, and its rounding in nm.
 fn fine(um: f64) -> Made<Fine> {
     let exact = um * FINE_PER_UM;
     let stored = rounded(exact).ok_or_else(|| format!("{um} µm is beyond the board's ±8388 µm"))?;
     Ok((Fine(stored), (f64::from(stored) - exact).abs() / FINE_PER_UM * NM_PER_UM))
 }
 
-/// A coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
+/// Returns a coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
 pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
     const MOST: f64 = (1_u64 << 30) as f64;
     let mantissa = |shift: u8| (value * 2_f64.powi(shift.into())).round();
@@ -290,7 +290,7 @@ pub(crate) const LEVER_M: f64 = term::LEVER.0 as f64 / UNITS_PER_MM / 1000.0;
 /// Levers are held against the model up to 15 m: so many of the board's.
 pub(crate) const MOST_LEVERS: f64 = 15.0 / LEVER_M;
 
-/// A tilt of the own axis or another.
+/// Returns a tilt of the own axis or another.
 fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
     let Tilt { along, lever, origin_mm, ref angle } = *it;
     let along = linear(along.or(own).ok_or("belongs to dx, dy or dz")?);
@@ -314,7 +314,7 @@ fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
     Ok((effect, nm * MOST_LEVERS))
 }
 
-/// One wave, and its largest difference from the model over the board's ±21 m, in nm.
+/// Returns one wave, and its largest difference from the model over the board's ±21 m, in nm.
 fn wave(period_mm: f64, wave: Wave) -> Made<Effect<'static>> {
     let turns_per_unit = f64::from(wave.harmonic) / (period_mm * UNITS_PER_MM);
     // f64 holds 53 bits of the 64: 21 m of 10 nm are 31, so that 2⁻²² turns are left.

@@ -12,7 +12,7 @@ use trueup_core::{
 use super::{inputs::linear_thermometer, *};
 use crate::{MachineFile, file::SensorModel, inputs::SensorInput, stored::NM_PER_UM};
 
-/// The paper's machine file with `from` replaced by `to`, behind a divider that takes its 10 V to the
+/// Returns the paper's machine file with `from` replaced by `to`, behind a divider that takes its 10 V to the
 /// converter's 3.3: a code is 8 counts there, and all numbers are whole.
 fn paper_but(from: &str, to: &str) -> Machine {
     let text = include_str!("../../../../data/paper_spindle.toml");

@@ -19,7 +19,7 @@ use crate::{
 const FULL_ONE: f64 = (1_u64 << warmup::Warmup::FULL_FRACTION_BITS) as f64;
 const DRIVE_ONE: f64 = warmup::Warmup::RATED as f64;
 
-/// The warm-up model, with the curve of its speed exponent.
+/// Returns the warm-up model, with the curve of its speed exponent.
 pub(super) fn compile(warmup: &Warmup) -> Result<(warmup::Warmup, OwnedCurve), Reason> {
     let full = 1.0 / -(-warmup.exponent).exp_m1() * FULL_ONE;
     let full = rounded(full)
@@ -89,7 +89,7 @@ fn worst_of(curve: &Curve<'_>, exact: impl Fn(f64) -> f64, last: i32) -> f64 {
     })
 }
 
-/// The warm-up as a user writes it.
+/// Returns the warm-up as a user writes it.
 pub(super) fn inverse(warmup: &SpindleWarmup<'_>) -> Warmup {
     /// An exponent that is as good as endless: its growth is full, to the last bit.
     const LARGEST_EXPONENT: f64 = 20.0;

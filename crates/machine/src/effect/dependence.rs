@@ -102,7 +102,7 @@ impl Dependence {
         Self { column: column.into(), minus: None, lag_s: 0.0, form, times: Times::One }
     }
 
-    /// The name of the form in files.
+    /// Returns the name of the form in files.
     #[must_use]
     pub fn form_name(&self) -> &'static str {
         match self.form {
@@ -113,7 +113,7 @@ impl Dependence {
         }
     }
 
-    /// Whether it takes two inputs together, or bends or lags behind one so that it imitates other laws.
+    /// Returns whether it takes two inputs together, or bends or lags behind one so that it imitates other laws.
     pub(super) fn is_composed(&self) -> bool {
         let has_laws = self.column == SPEED || is_temperature_column(&self.column);
         let is_late_line = self.has_lag() && matches!(self.form, Form::Line { .. });
@@ -153,7 +153,7 @@ impl Dependence {
         }
     }
 
-    /// How many levels, from the first on, have no amplitude: a constant could not be told from theirs.
+    /// Returns how many levels, from the first on, have no amplitude: a constant could not be told from theirs.
     fn without_amplitude(&self) -> usize {
         usize::from(self.times == Times::One)
     }

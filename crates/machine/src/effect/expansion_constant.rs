@@ -44,7 +44,7 @@ impl Page for ExpansionConstant {
         }
     }
 
-    /// What is added to the constant, which is in its own.
+    /// Returns what is added to the constant, which is in its own.
     fn values(&self) -> Vec<f64> {
         vec![0.0]
     }

@@ -41,7 +41,7 @@ impl Page for ExpansionSlope {
         }
     }
 
-    /// What is added to the slope, which is in its own.
+    /// Returns what is added to the slope, which is in its own.
     fn values(&self) -> Vec<f64> {
         vec![0.0]
     }

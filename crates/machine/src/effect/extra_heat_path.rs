@@ -66,13 +66,13 @@ impl ExtraHeatPath {
     }
 }
 
-/// The value of `input` and the key of c.
+/// Returns the value of `input` and the key of c.
 fn names(power: SpeedPower) -> [&'static str; 2] {
     let of_it = POWERS.into_iter().filter(|(there, ..)| *there == power);
     of_it.fold([""; 2], |_, (_, input, key)| [input, key])
 }
 
-/// The power of the speed that `section` is about: by `input`, else by the key of c.
+/// Returns the power of the speed that `section` is about: by `input`, else by the key of c.
 fn power_of(section: &Section<'_>) -> SpeedPower {
     let input = section.text("input").ok().flatten();
     let keys = section.keys();
@@ -83,7 +83,7 @@ fn power_of(section: &Section<'_>) -> SpeedPower {
     POWERS.into_iter().find(is_it).map_or(SpeedPower::Second, |(power, ..)| power)
 }
 
-/// Whether `section` is about the speed.
+/// Returns whether `section` is about the speed.
 fn is_of_speed(section: &Section<'_>) -> bool {
     let keys = section.keys();
     let is_own =

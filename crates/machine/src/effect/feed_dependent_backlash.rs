@@ -44,7 +44,7 @@ impl FeedDependentBacklash {
         Self { feeds_mm_per_min, width_um, at_feed_mm_per_min }
     }
 
-    /// The two feeds around one, by their places, and how far it is from the first to the second.
+    /// Returns the two feeds around one, by their places, and how far it is from the first to the second.
     fn around(&self, feed_mm_per_min: f64) -> (usize, usize, f64) {
         let feeds = &self.feeds_mm_per_min;
         let above = feeds.partition_point(|feed| *feed <= feed_mm_per_min);
@@ -53,7 +53,7 @@ impl FeedDependentBacklash {
         (above - 1, above, ((feed_mm_per_min - low) / (high - low)).clamp(0.0, 1.0))
     }
 
-    /// The width of the one feed that is corrected, in µm.
+    /// Returns the width of the one feed that is corrected, in µm.
     fn corrected_um(&self) -> f64 {
         let (low, high, share) = self.around(self.at_feed_mm_per_min);
         (1.0 - share) * self.width_um[low] + share * self.width_um[high]
@@ -177,7 +177,7 @@ impl Definition for FeedDependentBacklash {
     }
 }
 
-/// The feeds of a run in mm/min, rising: each that was set, or some of a feed that varies.
+/// Returns the feeds of a run in mm/min, rising: each that was set, or some of a feed that varies.
 fn feeds(column: &[f64]) -> Vec<f64> {
     let mut sorted: Vec<f64> = column.iter().copied().filter(|feed| *feed > 0.0).collect();
     sorted.retain(|feed| feed.is_finite());

@@ -40,7 +40,7 @@ impl Page for GrowthAmplitude {
         vec![Input::Predicted]
     }
 
-    /// A growth that is not within a factor of two of what is believed is not the same growth:
+    /// Returns a growth that is not within a factor of two of what is believed is not the same growth:
     /// another path carries it.
     fn amplitude_limits(&self) -> Option<[f64; 2]> {
         Some([-0.5, 1.0])

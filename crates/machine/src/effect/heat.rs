@@ -10,7 +10,7 @@ use crate::{
     location::BadInput,
 };
 
-/// The column of the temperature, which must be there.
+/// Returns the column of the temperature, which must be there.
 pub(crate) fn column(section: &Section<'_>) -> Result<String, BadInput> {
     section.required("column", read_temperature_column(section, "column")?)
 }
@@ -38,13 +38,13 @@ pub(crate) fn neutral(survey: &dyn Survey, column: &str, has_lag: bool) -> Heat 
     }
 }
 
-/// The column of the sensor's own temperature, where the sensor is what is predicted by.
+/// Returns the column of the sensor's own temperature, where the sensor is what is predicted by.
 pub(crate) fn of_sensor(survey: &dyn Survey) -> Option<&str> {
     let sensor = survey.spindle().sensor.as_ref()?;
     sensor.temperature.as_deref().filter(|_| survey.source() == Some(ElongationSource::Sensor))
 }
 
-/// The temperatures that may move what is measured, and whether the model goes by them already.
+/// Returns the temperatures that may move what is measured, and whether the model goes by them already.
 /// Heat is looked for where something grows: in a spindle, or in an axis.
 pub(crate) fn columns(survey: &dyn Survey) -> Vec<(&str, bool)> {
     let of_sensor = of_sensor(survey);

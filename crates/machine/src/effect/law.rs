@@ -9,13 +9,13 @@ const MOST_INPUTS: usize = 4;
 
 /// Where a law's inputs come from.
 pub trait Columns {
-    /// How many numbers are in each column.
+    /// Returns how many numbers are in each column.
     fn rows(&self) -> usize;
-    /// The column of an input.
+    /// Returns the column of an input.
     fn column(&self, input: &Input<'_>) -> Cow<'_, [f64]>;
 }
 
-/// What each amplitude of 1 adds, in µm, row by row: a column an amplitude, or the only one where
+/// Returns what each amplitude of 1 adds, in µm, row by row: a column an amplitude, or the only one where
 /// there is no amplitude.
 pub(super) fn columns<P: Definition>(
     page: &P,
@@ -31,7 +31,8 @@ pub(super) fn columns<P: Definition>(
     columns
 }
 
-/// What the cause of these values adds, in µm, row by row. An amplitude of 0 adds nothing, whatever its inputs are.
+/// Returns what the cause of these values adds, in µm, row by row. An amplitude of 0 adds nothing, whatever its inputs
+/// are.
 pub(super) fn sum<P: Definition>(page: &P, values: &[f64], source: &dyn Columns) -> Vec<f64> {
     let (nonlinear, amplitudes) = values.split_at(page.nonlinear().len().min(values.len()));
     let mut sum_um = vec![0.0; source.rows()];
@@ -63,7 +64,7 @@ fn at_rows<P: Definition>(
     }
 }
 
-/// What the cause of these values adds where its inputs are `x`, in µm.
+/// Returns what the cause of these values adds where its inputs are `x`, in µm.
 pub(super) fn at_row<P: Definition>(page: &P, values: &[f64], x: &[f64]) -> f64 {
     let (nonlinear, amplitudes) = values.split_at(page.nonlinear().len().min(values.len()));
     let mut sum_um = 0.0;

@@ -119,7 +119,7 @@ macro_rules! causes {
                 match self { $(Self::$Page => $Page::NAME,)* }
             }
 
-            /// The keys of this cause in `section`, besides those that all have.
+            /// Returns the keys of this cause in `section`, besides those that all have.
             pub(crate) fn keys(self, section: &Section<'_>) -> &'static [&'static str] {
                 match self { $(Self::$Page => $Page::keys(section),)* }
             }
@@ -129,7 +129,7 @@ macro_rules! causes {
                 Ok(match self { $(Self::$Page => Effect::$Page($Page::read(section)?),)* })
             }
 
-            /// The measurement that would tell it from `rival`.
+            /// Returns the measurement that would tell it from `rival`.
             fn against(self, rival: &str) -> Option<&'static str> {
                 match self { $(Self::$Page => $Page::against(rival),)* }
             }
@@ -145,7 +145,7 @@ macro_rules! causes {
         }
 
         impl Effect {
-            /// The cause that it belongs to.
+            /// Returns the cause that it belongs to.
             #[must_use]
             pub fn cause(&self) -> Cause {
                 match self {
@@ -154,7 +154,7 @@ macro_rules! causes {
                 }
             }
 
-            /// What each amplitude of 1 adds at these nonlinear values, in µm: a column an
+            /// Returns what each amplitude of 1 adds at these nonlinear values, in µm: a column an
             /// amplitude, or the only one where there is no amplitude.
             #[must_use]
             pub fn columns(&self, nonlinear: &[f64], source: &dyn Columns) -> Vec<Vec<f64>> {
@@ -164,7 +164,7 @@ macro_rules! causes {
                 }
             }
 
-            /// What it adds with these values, in µm, row by row; an amplitude of 0 adds nothing, whatever its
+            /// Returns what it adds with these values, in µm, row by row; an amplitude of 0 adds nothing, whatever its
             /// inputs are.
             #[must_use]
             pub fn sum(&self, values: &[f64], source: &dyn Columns) -> Vec<f64> {
@@ -174,7 +174,7 @@ macro_rules! causes {
                 }
             }
 
-            /// What it adds with these values where its inputs are `x`, in µm.
+            /// Returns what it adds with these values where its inputs are `x`, in µm.
             #[must_use]
             pub fn at_row(&self, values: &[f64], x: &[f64]) -> f64 {
                 match self {
@@ -183,7 +183,7 @@ macro_rules! causes {
                 }
             }
 
-            /// The cause that a form on the board is shown as, of an axis or (none) the elongation. It
+            /// Returns the cause that a form on the board is shown as, of an axis or (none) the elongation. It
             /// may take the constant that comes with the form.
             #[must_use]
             pub fn from_board(
@@ -252,7 +252,7 @@ causes! {
 }
 
 impl Cause {
-    /// The cause of this name.
+    /// Returns the cause of this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|cause| cause.name() == name)
@@ -291,8 +291,8 @@ impl Effect {
         Some(format!("\"{}\" {rule}", self.name()))
     }
 
-    /// Whether it takes two recorded inputs together (the difference of two, a range of one), or bends or lags behind one
-    /// so that it imitates other laws.
+    /// Returns whether it takes two recorded inputs together (the difference of two, a range of one), or bends or lags
+    /// behind one so that it imitates other laws.
     #[must_use]
     pub fn is_composed(&self) -> bool {
         match self {
@@ -310,13 +310,13 @@ impl Effect {
         }
     }
 
-    /// The range in which alone it acts.
+    /// Returns the range in which alone it acts.
     #[must_use]
     pub fn within(&self) -> Option<&Within> {
         if let Self::Within(within) = self { Some(within) } else { None }
     }
 
-    /// The column of the run that it hangs on, if it is one.
+    /// Returns the column of the run that it hangs on, if it is one.
     #[must_use]
     pub fn column(&self) -> Option<String> {
         let first = self.reads().first().copied()?;
@@ -331,7 +331,7 @@ impl Effect {
         }
     }
 
-    /// The columns that a run must have for it, but for directions.
+    /// Returns the columns that a run must have for it, but for directions.
     pub(crate) fn needed_columns(&self, quantity: Quantity) -> Vec<String> {
         let position = |axis: LinearAxis| format!("{}_mm", axis.name());
         let mut columns = Vec::new();
@@ -361,7 +361,7 @@ impl Effect {
         columns
     }
 
-    /// The columns that its law reads with its own values.
+    /// Returns the columns that its law reads with its own values.
     #[must_use]
     pub fn reads(&self) -> Vec<Input<'_>> {
         let mut nonlinear = self.values();
@@ -369,7 +369,7 @@ impl Effect {
         self.inputs(&nonlinear)
     }
 
-    /// The column of the temperature that it follows, if it does.
+    /// Returns the column of the temperature that it follows, if it does.
     #[must_use]
     pub fn temperature(&self) -> Option<String> {
         self.reads().into_iter().find_map(|input| match input {
@@ -378,19 +378,19 @@ impl Effect {
         })
     }
 
-    /// How many values it has.
+    /// Returns how many values it has.
     #[must_use]
     pub fn degrees(&self) -> usize {
         self.nonlinear().len() + self.amplitudes()
     }
 
-    /// Whether its only amplitude adds the same wherever and whenever it is.
+    /// Returns whether its only amplitude adds the same wherever and whenever it is.
     #[must_use]
     pub fn is_constant(&self) -> bool {
         self.stage() == Stage::Sum && self.amplitudes() == 1 && self.reads().is_empty()
     }
 
-    /// Whether it adds a function of its own axis's position and direction, and of nothing else.
+    /// Returns whether it adds a function of its own axis's position and direction, and of nothing else.
     #[must_use]
     pub fn is_along_own_axis(&self) -> bool {
         let inputs = self.reads();
@@ -398,13 +398,13 @@ impl Effect {
         self.home() == Home::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
     }
 
-    /// Whether it goes with the direction in which its own axis was approached.
+    /// Returns whether it goes with the direction in which its own axis was approached.
     #[must_use]
     pub fn is_by_direction(&self) -> bool {
         self.reads().contains(&Input::OwnDirection)
     }
 
-    /// What of it a machine runs that is not told the feed while it corrects, as no control and no board is:
+    /// Returns what of it a machine runs that is not told the feed while it corrects, as no control and no board is:
     /// the width of one feed where it goes with the feed, else all of it.
     #[must_use]
     pub fn without_feed(&self) -> Self {
@@ -416,38 +416,38 @@ impl Effect {
         held.unwrap_or_else(|| self.clone())
     }
 
-    /// Whether its law reads the clock.
+    /// Returns whether its law reads the clock.
     #[must_use]
     pub fn is_in_time(&self) -> bool {
         self.reads().contains(&Input::Time)
     }
 
-    /// Whether it is looked for at a time that is searched, not fitted.
+    /// Returns whether it is looked for at a time that is searched, not fitted.
     #[must_use]
     pub fn has_instant(&self) -> bool {
         self.nonlinear().contains(&Nonlinear::Instant)
     }
 
-    /// Whether it is a wave of a period that is fitted.
+    /// Returns whether it is a wave of a period that is fitted.
     #[must_use]
     pub fn is_wave(&self) -> bool {
         self.nonlinear().contains(&Nonlinear::Period)
     }
 
-    /// Whether its amplitudes are the sines and cosines of waves, whose sizes and phases are told.
+    /// Returns whether its amplitudes are the sines and cosines of waves, whose sizes and phases are told.
     #[must_use]
     pub fn has_phase(&self) -> bool {
         self.is_wave() || self.nonlinear().contains(&Nonlinear::TimePeriod)
     }
 
-    /// Whether its first value is a time constant.
+    /// Returns whether its first value is a time constant.
     #[must_use]
     pub fn has_time_constant(&self) -> bool {
         let first = self.nonlinear().first();
         matches!(first, Some(Nonlinear::TimeConstant | Nonlinear::FallingTimeConstant))
     }
 
-    /// The measurement that would settle it, against a rival's name where there is one.
+    /// Returns the measurement that would settle it, against a rival's name where there is one.
     #[must_use]
     pub fn next_test(&self, rival: Option<&str>) -> &'static str {
         // Of the two the later one in the list speaks first: it is farther away.

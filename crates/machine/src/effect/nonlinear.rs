@@ -28,7 +28,7 @@ pub enum Nonlinear {
 }
 
 impl Nonlinear {
-    /// Whether it is varied by ratios.
+    /// Returns whether it is varied by ratios.
     #[must_use]
     pub fn is_logarithmic(self) -> bool {
         matches!(

@@ -256,7 +256,7 @@ pub struct Host<'a> {
 }
 
 impl Host<'_> {
-    /// Whether the quantity follows a thermometer of its own.
+    /// Returns whether the quantity follows a thermometer of its own.
     pub(crate) fn has_thermometer(&self) -> bool {
         match self.quantity.axis() {
             None => {
@@ -296,17 +296,18 @@ pub trait Page {
         Stage::Sum
     }
 
-    /// Whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
+    /// Returns whether the board corrects it; what happened once, or is the reference instrument's, is only explained.
     fn is_compensated(&self) -> bool {
         true
     }
 
-    /// How far away it is: 0 a constant of the model; 1 something else that was recorded; 2 time alone, the instrument.
+    /// Returns how far away it is: 0 a constant of the model; 1 something else that was recorded; 2 time alone, the
+    /// instrument.
     fn tier(&self) -> u8 {
         0
     }
 
-    /// The columns that its law reads, in its order.
+    /// Returns the columns that its law reads, in its order.
     fn inputs<'a>(&'a self, _nonlinear: &[f64]) -> Vec<Input<'a>> {
         Vec::new()
     }
@@ -321,17 +322,17 @@ pub trait Page {
         None
     }
 
-    /// How many amplitudes it has. A law without one adds its column as it is.
+    /// Returns how many amplitudes it has. A law without one adds its column as it is.
     fn amplitudes(&self) -> usize {
         1
     }
 
-    /// What an amplitude may be; beyond that it is another machine's.
+    /// Returns what an amplitude may be; beyond that it is another machine's.
     fn amplitude_limits(&self) -> Option<[f64; 2]> {
         None
     }
 
-    /// How many neighbours are in each of the lists that its values are, if they are.
+    /// Returns how many neighbours are in each of the lists that its values are, if they are.
     fn list_length(&self) -> Option<usize> {
         None
     }
@@ -342,7 +343,7 @@ pub trait Page {
     /// Puts values, as many as there are, into the neutral one.
     fn set(&mut self, values: &[f64]);
 
-    /// What these values add everywhere and [`set`](Self::set) has no key for, in µm.
+    /// Returns what these values add everywhere and [`set`](Self::set) has no key for, in µm.
     fn constant_um(&self, _values: &[f64]) -> f64 {
         0.0
     }
@@ -355,18 +356,18 @@ pub trait Page {
         0.0
     }
 
-    /// How late the thermometer of the machine's own law is.
+    /// Returns how late the thermometer of the machine's own law is.
     fn late(&self) -> Option<Late> {
         None
     }
 
-    /// What it is on the board, one form after the other; none where it corrects a constant of a law, or
+    /// Returns what it is on the board, one form after the other; none where it corrects a constant of a law, or
     /// is not corrected.
     fn on_board(&self) -> Vec<OnBoard> {
         Vec::new()
     }
 
-    /// Whether its reference (a temperature, a start) is its own, and with it a constant.
+    /// Returns whether its reference (a temperature, a start) is its own, and with it a constant.
     fn has_reference(&self) -> bool {
         false
     }
@@ -376,34 +377,34 @@ pub trait Page {
         None
     }
 
-    /// The path by which it brings heat.
+    /// Returns the path by which it brings heat.
     fn heat_path(&self) -> Option<HeatPath<'_>> {
         None
     }
 
-    /// The table of its own axis that it is.
+    /// Returns the table of its own axis that it is.
     fn table(&self) -> Option<&Pitch> {
         None
     }
 
-    /// Whether it is the error of the reference instrument.
+    /// Returns whether it is the error of the reference instrument.
     fn is_of_instrument(&self) -> bool {
         false
     }
 
-    /// What it means for a person at the machine, in a sentence.
+    /// Returns what it means for a person at the machine, in a sentence.
     fn sentence(&self, values: &[f64]) -> String;
 
-    /// The measurement that would settle it.
+    /// Returns the measurement that would settle it.
     fn next_test(&self) -> &'static str;
 
-    /// What at the machine may be repaired in place of being corrected.
+    /// Returns what at the machine may be repaired in place of being corrected.
     fn repair(&self) -> Option<&'static str> {
         None
     }
 
-    /// The cause that would look the same where the position only grows with the time: of one over the position one over
-    /// the time, and the other way round.
+    /// Returns the cause that would look the same where the position only grows with the time: of one over the position
+    /// one over the time, and the other way round.
     fn same_in_one_pass(&self) -> Option<&'static str> {
         None
     }
@@ -420,13 +421,13 @@ pub(crate) trait Definition: Page + Sized {
     /// Its keys, besides those that all have.
     fn keys(section: &Section<'_>) -> &'static [&'static str];
 
-    /// What stands in `section`, whose keys are known.
+    /// Returns what stands in `section`, whose keys are known.
     fn read(section: &Section<'_>) -> Result<Self, BadInput>;
 
     /// The law: calls `add` with what each amplitude of 1 adds, in µm, where the inputs are `x`.
     fn law(&self, _nonlinear: &[f64], _x: &[f64], _add: &mut impl FnMut(usize, f64)) {}
 
-    /// The cause that a form on the board is shown as, if it is this one; it may take the constant
+    /// Returns the cause that a form on the board is shown as, if it is this one; it may take the constant
     /// that comes with it.
     fn from_board(
         _own: Option<LinearAxis>,
@@ -439,29 +440,29 @@ pub(crate) trait Definition: Page + Sized {
     /// Proposes what of it the data allow, neutral, with values to begin from.
     fn propose(_survey: &dyn Survey, _with: &mut dyn FnMut(Self, Settings)) {}
 
-    /// The measurement that would tell it from `rival`, a cause's name.
+    /// Returns the measurement that would tell it from `rival`, a cause's name.
     fn against(_rival: &str) -> Option<&'static str> {
         None
     }
 }
 
-/// A number that must be there.
+/// Returns a number that must be there.
 pub(crate) fn number(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
     section.required(key, section.number(key)?)
 }
 
-/// A number above 0 that must be there.
+/// Returns a number above 0 that must be there.
 pub(crate) fn positive(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
     section.required(key, section.positive(key)?)
 }
 
-/// An axis that must be there.
+/// Returns an axis that must be there.
 pub(crate) fn axis(section: &Section<'_>, key: &str) -> Result<LinearAxis, BadInput> {
     let axes = LinearAxis::ALL.map(|axis| (axis.name(), axis));
     section.required(key, section.choice(key, &axes)?)
 }
 
-/// A time for people: 95 s, 12.3 min.
+/// Returns a time for people: 95 s, 12.3 min.
 pub(crate) fn minutes(seconds: f64) -> String {
     if seconds < 120.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
 }

@@ -30,7 +30,7 @@ impl Quantity {
         }
     }
 
-    /// The axis whose error it is; `None` for the elongation.
+    /// Returns the axis whose error it is; `None` for the elongation.
     #[must_use]
     pub fn axis(self) -> Option<LinearAxis> {
         match self {
@@ -41,7 +41,7 @@ impl Quantity {
         }
     }
 
-    /// The error of this axis.
+    /// Returns the error of this axis.
     #[must_use]
     pub fn of_axis(axis: LinearAxis) -> Self {
         [Self::Dx, Self::Dy, Self::Dz][axis.index()]

@@ -57,7 +57,7 @@ impl ReferenceInstrument {
         }
     }
 
-    /// What is wrong with it, for people.
+    /// Returns what is wrong with it, for people.
     fn described(&self, values: &[f64]) -> String {
         let start = self.nonlinear().len();
         let amplitude = values[start].hypot(values[start + 1]);

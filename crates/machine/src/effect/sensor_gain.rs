@@ -44,7 +44,7 @@ impl Page for SensorGain {
         vec![Input::Predicted]
     }
 
-    /// A gain that turns the sign, or is off by more than a factor of five, is another machine's.
+    /// Returns a gain that turns the sign, or is off by more than a factor of five, is another machine's.
     fn amplitude_limits(&self) -> Option<[f64; 2]> {
         Some([-0.8, 4.0])
     }

@@ -28,7 +28,7 @@ pub struct Straightness {
 /// Control points of the curves that are tried.
 const CONTROLS: [usize; 4] = [5, 8, 12, 20];
 
-/// The knots of the cubic spline that passes through a value at each of these places, at least 4, in
+/// Returns the knots of the cubic spline that passes through a value at each of these places, at least 4, in
 /// order: one at each but for the second and the last but one.
 fn knots_through(at: &[f64]) -> Vec<f64> {
     let last = at.len() - 1;

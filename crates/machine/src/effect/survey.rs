@@ -31,7 +31,7 @@ impl Settings {
         Self { starts: vec![Vec::new()], searched: 0.0 }
     }
 
-    /// One value at each of these.
+    /// Returns one value at each of these.
     #[must_use]
     pub fn at(values: impl IntoIterator<Item = f64>) -> Self {
         Self { starts: values.into_iter().map(|value| vec![value]).collect(), searched: 0.0 }
@@ -53,49 +53,49 @@ pub enum Reading<'a> {
 
 /// The data that a cause is looked for in, the model as it is now, and what that leaves.
 pub trait Survey {
-    /// What was measured.
+    /// Returns what was measured.
     fn quantity(&self) -> Quantity;
-    /// How the spindle is believed to grow.
+    /// Returns how the spindle is believed to grow.
     fn spindle(&self) -> &Spindle;
-    /// What is believed of the quantity's own axis.
+    /// Returns what is believed of the quantity's own axis.
     fn own_axis(&self) -> Option<&AxisModel>;
-    /// Whether the tool's growth is in what was measured.
+    /// Returns whether the tool's growth is in what was measured.
     fn elongates(&self) -> bool;
-    /// The elongation by the source's own law, without terms, in µm.
+    /// Returns the elongation by the source's own law, without terms, in µm.
     fn law(&self) -> &[f64];
-    /// The spread of what the machine file predicts, in µm; at least 0.
+    /// Returns the spread of what the machine file predicts, in µm; at least 0.
     fn predicted_spread(&self) -> f64;
-    /// A column of the run by its name.
+    /// Returns a column of the run by its name.
     fn column(&self, name: &str) -> Option<&[f64]>;
-    /// The names of the temperatures.
+    /// Returns the names of the temperatures.
     fn temperatures(&self) -> Vec<&str>;
-    /// The names of the columns that this project does not know.
+    /// Returns the names of the columns that this project does not know.
     fn others(&self) -> Vec<&str>;
-    /// The position of the own axis.
+    /// Returns the position of the own axis.
     fn own_position(&self) -> Option<&[f64]>;
-    /// Whether the own axis was approached from both sides.
+    /// Returns whether the own axis was approached from both sides.
     fn turns(&self) -> bool;
-    /// Whether the model goes by this temperature already.
+    /// Returns whether the model goes by this temperature already.
     fn is_in_use(&self, column: &str) -> bool;
-    /// Whether the model has a cause of this name already.
+    /// Returns whether the model has a cause of this name already.
     fn has(&self, cause: &str) -> bool;
-    /// Whether the model has added a cause of this name to what the machine file says.
+    /// Returns whether the model has added a cause of this name to what the machine file says.
     fn adds(&self, cause: &str) -> bool;
-    /// Whether the model has an error of the reference instrument already.
+    /// Returns whether the model has an error of the reference instrument already.
     fn has_instrument(&self) -> bool;
-    /// Whether the model has a zero of its own.
+    /// Returns whether the model has a zero of its own.
     fn has_constant(&self) -> bool;
-    /// The temperature that a term on `column` is counted from, in °C.
+    /// Returns the temperature that a term on `column` is counted from, in °C.
     fn reference_c(&self, column: &str) -> f64;
-    /// The time that a term in time is counted from, in s.
+    /// Returns the time that a term in time is counted from, in s.
     fn start_s(&self) -> f64;
-    /// The first and the last time of the record, in s; `None` without a clock.
+    /// Returns the first and the last time of the record, in s; `None` without a clock.
     fn time_s(&self) -> Option<[f64; 2]>;
-    /// How many files there are.
+    /// Returns how many files there are.
     fn files(&self) -> usize;
-    /// How many groups of rows are fitted to.
+    /// Returns how many groups of rows are fitted to.
     fn groups(&self) -> usize;
-    /// The time of the first row of a group, in s.
+    /// Returns the time of the first row of a group, in s.
     fn time_of_group(&self, group: usize) -> f64;
     /// So many time constants in equal ratios, from the spacing of the rows to what the longest
     /// series can show; none without a clock.
@@ -103,18 +103,18 @@ pub trait Survey {
     /// Shifts in time that the record can show, in s, in equal ratios from the spacing of the rows; those
     /// below 0 too where the run has a second clock; none without a clock.
     fn shifts(&self) -> Settings;
-    /// How late a thermometer may be for the record to show it, in s, in equal ratios from the spacing of
+    /// Returns how late a thermometer may be for the record to show it, in s, in equal ratios from the spacing of
     /// the rows; none without a clock.
     fn lates(&self) -> Settings;
-    /// The longest period that the travel can show, in mm.
+    /// Returns the longest period that the travel can show, in mm.
     fn longest_period_mm(&self) -> f64;
-    /// The period of the strongest wave in what is left, if it turns so often over the whole length;
+    /// Returns the period of the strongest wave in what is left, if it turns so often over the whole length;
     /// at most `frequencies` are looked at.
     fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<Settings>;
     /// C and P₀ of the strongest wave of C/(P + P₀).
     fn angled_peak(&self, over: Reading<'_>) -> Option<Settings>;
 
-    /// What is believed of the own axis's growth.
+    /// Returns what is believed of the own axis's growth.
     fn thermal(&self) -> Option<&Thermal> {
         self.own_axis().and_then(|axis| axis.thermal.as_ref())
     }
@@ -127,37 +127,37 @@ impl dyn Survey + '_ {
         if self.elongates() { self.spindle().source } else { None }
     }
 
-    /// Whether the tool's growth is measured, or is in what was measured.
+    /// Returns whether the tool's growth is measured, or is in what was measured.
     #[must_use]
     pub fn grows(&self) -> bool {
         self.elongates() || self.quantity().axis().is_none()
     }
 
-    /// Whether the own axis is moved by a screw that nothing looks after.
+    /// Returns whether the own axis is moved by a screw that nothing looks after.
     #[must_use]
     pub fn has_screw(&self) -> bool {
         self.own_axis().is_some_and(|axis| axis.feedback == Feedback::Screw)
     }
 
-    /// Whether a column is there and not always the same.
+    /// Returns whether a column is there and not always the same.
     #[must_use]
     pub fn varies(&self, column: &str) -> bool {
         self.column(column).is_some_and(|values| spread(values) > 0.0)
     }
 
-    /// Whether the own axis has moved.
+    /// Returns whether the own axis has moved.
     #[must_use]
     pub fn moves(&self) -> bool {
         self.own_position().is_some_and(|mm| spread(mm) > 0.0)
     }
 
-    /// Whether the own axis has a thermal law whose thermometer has moved.
+    /// Returns whether the own axis has a thermal law whose thermometer has moved.
     #[must_use]
     pub fn thermal_in_use(&self) -> Option<&Thermal> {
         self.thermal().filter(|thermal| self.varies(&thermal.sensor))
     }
 
-    /// The lag that is believed between the thermometer and the growth by it, in s; `None` where no
+    /// Returns the lag that is believed between the thermometer and the growth by it, in s; `None` where no
     /// growth goes by a thermometer that has moved.
     #[must_use]
     pub fn believed_lag_s(&self) -> Option<f64> {
@@ -170,7 +170,7 @@ impl dyn Survey + '_ {
         }
     }
 
-    /// The columns of the positions of the other axes that have moved, for an axis's error.
+    /// Returns the columns of the positions of the other axes that have moved, for an axis's error.
     #[must_use]
     pub fn other_axes(&self) -> Vec<LinearAxis> {
         let Some(own) = self.quantity().axis() else { return Vec::new() };
@@ -189,7 +189,7 @@ pub fn spread(values: &[f64]) -> f64 {
     if high > low { high - low } else { 0.0 }
 }
 
-/// The places that the positions stand at, sorted, nearer ones than `share` of the travel as one.
+/// Returns the places that the positions stand at, sorted, nearer ones than `share` of the travel as one.
 pub(crate) fn targets(values: &[f64], share: f64) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -207,7 +207,7 @@ pub(crate) fn targets(values: &[f64], share: f64) -> Vec<f64> {
     targets.into_iter().map(|(sum, count)| sum / count).collect()
 }
 
-/// The knots of a cubic spline with so many control points over these places.
+/// Returns the knots of a cubic spline with so many control points over these places.
 pub(crate) fn even_knots(at: &[f64], controls: usize) -> Vec<f64> {
     let (low, high) = (at[0], at[at.len() - 1]);
     let spans = controls - 3;

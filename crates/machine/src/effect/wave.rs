@@ -15,7 +15,7 @@ pub struct Wave {
 }
 
 impl Wave {
-    /// One that is not there yet.
+    /// Returns one that is not there yet.
     pub(crate) fn neutral(harmonic: u32) -> Self {
         Self { harmonic, amplitude_um: 0.0, phase_deg: 0.0 }
     }

@@ -159,13 +159,13 @@ impl ThermalMode {
         }
     }
 
-    /// Whether K₀(T) counts.
+    /// Returns whether K₀(T) counts.
     #[must_use]
     pub fn has_constant(self) -> bool {
         self != Self::Position
     }
 
-    /// Whether tanβ(T)·(P − P₀) counts, and so the position.
+    /// Returns whether tanβ(T)·(P − P₀) counts, and so the position.
     #[must_use]
     pub fn has_position(self) -> bool {
         self != Self::Constant
@@ -321,7 +321,7 @@ fn read_thermal_rows(
     Ok(rows.into_iter().map(row).collect())
 }
 
-/// A position table among the keys of `section`, which may have others.
+/// Returns a position table among the keys of `section`, which may have others.
 pub(crate) fn read_pitch(section: &Section<'_>) -> Result<Pitch, BadInput> {
     let start_mm = section.required("start_mm", section.number("start_mm")?)?;
     let step_mm = section.required("step_mm", section.positive("step_mm")?)?;
@@ -368,7 +368,7 @@ fn read_dual(section: &Section<'_>, driven: LinearAxis) -> Result<Dual, BadInput
     Ok(Dual { across, first_mm, second_mm, pitch: read_pitch(&pitch)? })
 }
 
-/// The sections of the axis `of`.
+/// Returns the sections of the axis `of`.
 pub(super) fn write(axis: &AxisModel, of: LinearAxis) -> Vec<NewSection> {
     let name = format!("axis.{}", of.name());
     let mut sections = Vec::new();
@@ -423,7 +423,7 @@ fn write_thermal(axis: &str, thermal: &Thermal) -> NewSection {
     section.number("origin_mm", thermal.origin_mm).number("lag_s", thermal.lag_s)
 }
 
-/// The keys of a position table, after those that `section` has.
+/// Returns the keys of a position table, after those that `section` has.
 pub(super) fn write_pitch(section: NewSection, pitch: &Pitch) -> NewSection {
     let section = section
         .number("start_mm", pitch.start_mm)

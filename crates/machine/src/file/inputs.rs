@@ -54,7 +54,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
     Ok(inputs)
 }
 
-/// Whether an input says that it is a condition.
+/// Returns whether an input says that it is a condition.
 pub(super) fn is_condition(section: &Section<'_>) -> bool {
     section.text("kind").ok().flatten() == Some("condition")
 }
@@ -69,7 +69,7 @@ fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, B
     Ok(ConditionInput { bit, default: section.whole("default", 0, 1)?.unwrap_or(0) != 0 })
 }
 
-/// The run-file column of a temperature, which `key` names.
+/// Returns the run-file column of a temperature, which `key` names.
 pub(crate) fn read_temperature_column(
     section: &Section<'_>,
     key: &str,
@@ -83,7 +83,7 @@ pub(crate) fn read_temperature_column(
     }
 }
 
-/// Whether a run-file column of this name is a temperature: `temp_<name>_c`.
+/// Returns whether a run-file column of this name is a temperature: `temp_<name>_c`.
 #[must_use]
 pub fn is_temperature_column(name: &str) -> bool {
     name.strip_prefix("temp_")

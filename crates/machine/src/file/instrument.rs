@@ -3,7 +3,7 @@
 use super::{read::Section, write::section::NewSection};
 use crate::location::BadInput;
 
-/// The expanded uncertainty of one reading in µm (95 %), above 0.
+/// Returns the expanded uncertainty of one reading in µm (95 %), above 0.
 pub(super) fn read(section: &Section<'_>) -> Result<f64, BadInput> {
     section.required("uncertainty_um", section.positive("uncertainty_um")?)
 }

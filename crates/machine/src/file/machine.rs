@@ -82,7 +82,7 @@ impl Kind {
         }
     }
 
-    /// How many rotary axes carry the spindle.
+    /// Returns how many rotary axes carry the spindle.
     #[must_use]
     pub fn head_axes(self) -> usize {
         match self {
@@ -131,14 +131,14 @@ pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
     Ok(Identity { name, serial, board, kind, head_axes, tool_direction })
 }
 
-/// The number of a chip, the lowest word first; never 0, which is no chip's.
+/// Returns the number of a chip, the lowest word first; never 0, which is no chip's.
 fn read_board(written: &str) -> Option<[u32; 3]> {
     let is_hex = written.len() == 24 && written.bytes().all(|digit| digit.is_ascii_hexdigit());
     let number = u128::from_str_radix(written, 16).ok().filter(|number| is_hex && *number != 0)?;
     Some([0, 32, 64].map(|bits| (number >> bits & u128::from(u32::MAX)) as u32))
 }
 
-/// A chip's number as it is written: 24 hexadecimal digits, the highest first.
+/// Returns a chip's number as it is written: 24 hexadecimal digits, the highest first.
 #[must_use]
 pub fn board_text([low, middle, high]: [u32; 3]) -> String {
     format!("{high:08x}{middle:08x}{low:08x}")

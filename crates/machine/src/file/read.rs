@@ -53,12 +53,12 @@ impl<'t> Document<'t> {
         Ok(Self { file, text, table, places })
     }
 
-    /// The file itself as a section.
+    /// Returns the file itself as a section.
     pub(crate) fn root(&self) -> Section<'_> {
         Section { document: self, table: &self.table, name: String::new() }
     }
 
-    /// The place of every key.
+    /// Returns the place of every key.
     pub(crate) fn into_places(self) -> Locations {
         self.places
     }
@@ -156,7 +156,7 @@ impl<'d> Section<'d> {
         BadInput::new(place, format!("unknown key {name}{}", did_you_mean(key, known)))
     }
 
-    /// The names of all keys, in the order of the file.
+    /// Returns the names of all keys, in the order of the file.
     pub(crate) fn keys(&self) -> Vec<&'d str> {
         let in_order: BTreeSet<(usize, &str)> =
             self.table.keys().map(|key| (key.span().start, key.get_ref().as_ref())).collect();
@@ -168,7 +168,7 @@ impl<'d> Section<'d> {
         self.document.places.of(&dotted(&self.name, key))
     }
 
-    /// What `read` makes of this section with these `keys` of another one in it.
+    /// Returns what `read` makes of this section with these `keys` of another one in it.
     pub(crate) fn with<T>(
         &self,
         other: &Section<'_>,
@@ -189,7 +189,7 @@ impl<'d> Section<'d> {
         value.ok_or_else(|| self.bad(key, "is missing"))
     }
 
-    /// The table `key`.
+    /// Returns the table `key`.
     pub(crate) fn section(&self, key: &str) -> Result<Option<Section<'d>>, BadInput> {
         match self.table.get(key).map(Spanned::get_ref) {
             None => Ok(None),
@@ -200,7 +200,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The tables of the array of tables `key`; none where it is missing.
+    /// Returns the tables of the array of tables `key`; none where it is missing.
     pub(crate) fn sections(&self, key: &str) -> Result<Vec<Section<'d>>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(Vec::new()) };
         let DeValue::Array(elements) = value else {
@@ -227,7 +227,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The string `key`.
+    /// Returns the string `key`.
     pub(crate) fn text(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
         match self.table.get(key).map(Spanned::get_ref) {
             None => Ok(None),
@@ -236,7 +236,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The string `key`, which must be one of `choices`.
+    /// Returns the string `key`, which must be one of `choices`.
     pub(crate) fn choice<T: Copy>(
         &self,
         key: &str,
@@ -253,12 +253,12 @@ impl<'d> Section<'d> {
         Err(self.bad(key, rule))
     }
 
-    /// The number `key`, written as integer or float; never infinite or NaN.
+    /// Returns the number `key`, written as integer or float; never infinite or NaN.
     pub(crate) fn number(&self, key: &str) -> Result<Option<f64>, BadInput> {
         self.table.get(key).map(|value| self.finite(key, value.get_ref())).transpose()
     }
 
-    /// The number `key`, which must be above 0.
+    /// Returns the number `key`, which must be above 0.
     pub(crate) fn positive(&self, key: &str) -> Result<Option<f64>, BadInput> {
         match self.number(key)? {
             Some(value) if value <= 0.0 => {
@@ -268,7 +268,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The number `key`, which must be 0 or above.
+    /// Returns the number `key`, which must be 0 or above.
     pub(crate) fn not_negative(&self, key: &str) -> Result<Option<f64>, BadInput> {
         match self.number(key)? {
             Some(value) if value < 0.0 => {
@@ -278,7 +278,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The whole number `key` in `least..=most`.
+    /// Returns the whole number `key` in `least..=most`.
     pub(crate) fn whole(&self, key: &str, least: u32, most: u32) -> Result<Option<u32>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Integer(digits) = value else {
@@ -293,19 +293,19 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The array `key` of exactly three numbers.
+    /// Returns the array `key` of exactly three numbers.
     pub(crate) fn vector(&self, key: &str) -> Result<Option<[f64; 3]>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         self.three(key, value).map(Some)
     }
 
-    /// The array `key` of 1 to [`MOST_ELEMENTS`] numbers.
+    /// Returns the array `key` of 1 to [`MOST_ELEMENTS`] numbers.
     pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
         let number = |element: &str, value: &DeValue<'_>| self.finite(element, value);
         self.elements(key, "an array of numbers", number)
     }
 
-    /// The same, or one number alone.
+    /// Returns the same, or one number alone.
     pub(crate) fn number_or_numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
         match self.table.get(key).map(Spanned::get_ref) {
             Some(DeValue::Array(_)) | None => self.numbers(key),
@@ -313,13 +313,13 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// The array `key` of 1 to [`MOST_ELEMENTS`] rows of exactly three numbers.
+    /// Returns the array `key` of 1 to [`MOST_ELEMENTS`] rows of exactly three numbers.
     pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, BadInput> {
         let row = |element: &str, value: &DeValue<'_>| self.three(element, value);
         self.elements(key, "an array of rows", row)
     }
 
-    /// The array `key`, each element read by `read` under its own name.
+    /// Returns the array `key`, each element read by `read` under its own name.
     fn elements<T>(
         &self,
         key: &str,
@@ -356,7 +356,7 @@ impl<'d> Section<'d> {
         Ok(vector)
     }
 
-    /// The array `key` of strings.
+    /// Returns the array `key` of strings.
     pub(crate) fn texts(&self, key: &str) -> Result<Option<Vec<&'d str>>, BadInput> {
         let Some(value) = self.table.get(key).map(Spanned::get_ref) else { return Ok(None) };
         let DeValue::Array(elements) = value else {

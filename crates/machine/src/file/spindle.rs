@@ -83,13 +83,13 @@ pub struct Warmup {
 }
 
 impl Warmup {
-    /// The time constant with which the spindle heats up, (t₂ − t₁)/k, in s.
+    /// Returns the time constant with which the spindle heats up, (t₂ − t₁)/k, in s.
     #[must_use]
     pub fn time_constant_s(&self) -> f64 {
         (self.warm_s - self.lag_s) / self.exponent
     }
 
-    /// The time constant with which the spindle cools, in s.
+    /// Returns the time constant with which the spindle cools, in s.
     #[must_use]
     pub fn cooling_time_constant_s(&self) -> f64 {
         self.cool_s.unwrap_or_else(|| self.time_constant_s())
@@ -109,7 +109,7 @@ pub struct TemperatureModel {
     pub lag_s: f64,
 }
 
-/// The section; `input` is what `[inputs]` says of the displacement sensor.
+/// Returns the section; `input` is what `[inputs]` says of the displacement sensor.
 pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
     let sources =
         [ElongationSource::Sensor, ElongationSource::Warmup, ElongationSource::Temperature]
@@ -246,7 +246,7 @@ fn write_temperature(model: &TemperatureModel) -> NewSection {
         .number("k_um_per_c", model.k_um_per_c)
         .number("lag_s", model.lag_s)
 }
-/// A converted number without the rounding of `f64` in its last digits: 2.1 V of 3276.8 counts are 6881.28.
+/// Returns a converted number without the rounding of `f64` in its last digits: 2.1 V of 3276.8 counts are 6881.28.
 fn rounded(value: f64) -> f64 {
     format!("{value:.13e}").parse().unwrap_or(value)
 }

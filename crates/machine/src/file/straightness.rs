@@ -23,7 +23,7 @@ impl Straightness {
     pub const PAIRS: [(LinearAxis, LinearAxis); 6] =
         [(Y, X), (Z, X), (Z, Y), (X, Y), (X, Z), (Y, Z)];
 
-    /// The name of its section under `[straightness]`: `z_of_x`.
+    /// Returns the name of its section under `[straightness]`: `z_of_x`.
     #[must_use]
     pub fn name(&self) -> String {
         pair_name((self.error, self.along))
@@ -159,7 +159,7 @@ pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
 /// The key of the control points where a spline is an error.
 const CONTROL: &str = "control_um";
 
-/// A spline among the keys of `section`, which may have others; its control points at the key
+/// Returns a spline among the keys of `section`, which may have others; its control points at the key
 /// `control`.
 pub(crate) fn read_spline(section: &Section<'_>, control: &str) -> Result<BSpline, BadInput> {
     let order = section.required("order", section.whole("order", 0, u32::MAX)?)?;
@@ -192,7 +192,7 @@ pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
     write_spline(NewSection::new(format!("straightness.{}", curve.name())), &curve.spline)
 }
 
-/// The keys of a spline, after those that `section` has.
+/// Returns the keys of a spline, after those that `section` has.
 pub(super) fn write_spline(section: NewSection, spline: &BSpline) -> NewSection {
     // What passes `check` is 2, 3 or 4.
     let order = u32::try_from(spline.order).unwrap_or(u32::MAX);

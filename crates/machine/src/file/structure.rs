@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{effect::Cause, location::BadInput};
 
-/// What is wrong with the keys of `section`, in no order.
+/// Returns what is wrong with the keys of `section`, in no order.
 pub(super) fn faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     let mut faults = faults_of_values(section, keys);
     // A misspelt key would be reported as a missing one too.
@@ -28,7 +28,7 @@ pub(super) fn faults(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     faults
 }
 
-/// What is wrong with what stands in `section`, whatever is missing.
+/// Returns what is wrong with what stands in `section`, whatever is missing.
 fn faults_of_values(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     let mut faults = Vec::new();
     let names: Vec<&str> = keys.iter().map(|key| key.name).collect();
@@ -41,7 +41,7 @@ fn faults_of_values(section: &Section<'_>, keys: &[Key]) -> Vec<BadInput> {
     faults
 }
 
-/// What is wrong with a `[[term]]`, in no order. Which keys its cause needs is known by its page alone, which
+/// Returns what is wrong with a `[[term]]`, in no order. Which keys its cause needs is known by its page alone, which
 /// stops at the first that is missing: it reads the term again with the example of that key, and so on.
 pub(super) fn faults_of_term(section: &Section<'_>) -> Vec<BadInput> {
     let all = [TERM, TERM_KEYS].concat();
@@ -99,7 +99,8 @@ fn unknown(section: &Section<'_>, name: &str, names: &[&str]) -> BadInput {
     error.with_help(format!("the keys here are {}", names.join(", ")))
 }
 
-/// Whether `name` in `section` is this key. A condition may have any name, and is known by its kind; so may a tool.
+/// Returns whether `name` in `section` is this key. A condition may have any name, and is known by its kind; so may a
+/// tool.
 fn is_named(section: &Section<'_>, key: &Key, name: &str) -> bool {
     match key.name {
         "<condition>" => section.section(name).ok().flatten().is_some_and(|it| is_condition(&it)),

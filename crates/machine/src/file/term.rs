@@ -23,7 +23,7 @@ pub struct Term {
     pub effect: Effect,
 }
 
-/// The terms in the order in which they act, each with its number in the file, from 0: by their
+/// Returns the terms in the order in which they act, each with its number in the file, from 0: by their
 /// [stages](crate::effect::Stage), of one stage as they stand in the file.
 #[must_use]
 pub fn in_order(terms: &[Term]) -> Vec<(usize, &Term)> {
@@ -71,7 +71,7 @@ pub(super) fn check(
 }
 
 impl Term {
-    /// The term as a table to be written; it reads back to the same numbers.
+    /// Returns the term as a table to be written; it reads back to the same numbers.
     ///
     /// ```
     /// use trueup_machine::effect::{Effect, Quantity, SensorGain};

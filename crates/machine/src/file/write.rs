@@ -41,19 +41,19 @@ pub struct Edit {
 }
 
 impl Edit {
-    /// An edit of one section.
+    /// Returns an edit of one section.
     #[must_use]
     pub fn of(section: NewSection) -> Self {
         Self { sections: vec![section], ..Self::default() }
     }
 
-    /// Whether there is nothing to write.
+    /// Returns whether there is nothing to write.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.sections.is_empty() && self.replaced.is_empty() && self.appended.is_empty()
     }
 
-    /// What is written, alone, as TOML; what a machine file may need beside it is said in comments.
+    /// Returns what is written, alone, as TOML; what a machine file may need beside it is said in comments.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut document = DocumentMut::new();

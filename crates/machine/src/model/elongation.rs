@@ -32,7 +32,7 @@
 use super::lag::Clock;
 use crate::file::{SensorModel, TemperatureModel, Warmup};
 
-/// The elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
+/// Returns the elongation in µm that the sensor's law gives for `sensor_counts`; NaN for a missing count.
 ///
 /// ```
 /// use trueup_machine::{file::SensorModel, model::elongation_um};
@@ -47,7 +47,7 @@ pub fn elongation_um(sensor: &SensorModel, sensor_counts: f64) -> f64 {
     sensor.k0_um + (sensor_counts - sensor.zero_counts) * sensor.um_per_count
 }
 
-/// The sensor's law the other way round: the counts at an elongation in µm; NaN for a missing one.
+/// Returns the sensor's law the other way round: the counts at an elongation in µm; NaN for a missing one.
 ///
 /// It is the inverse whatever [`SensorModel::temperature`] names: that is the column which a
 /// diagnosis looks at, and no part of the law.
@@ -65,7 +65,7 @@ pub fn sensor_counts(sensor: &SensorModel, elongation_um: f64) -> f64 {
     sensor.zero_counts + (elongation_um - sensor.k0_um) / sensor.um_per_count
 }
 
-/// The elongation in µm at `temperature_c`, which has passed the model's lag already; NaN for a
+/// Returns the elongation in µm at `temperature_c`, which has passed the model's lag already; NaN for a
 /// missing temperature.
 ///
 /// ```
@@ -80,7 +80,7 @@ pub fn temperature_elongation_um(model: &TemperatureModel, temperature_c: f64) -
     model.k_um_per_c * (temperature_c - model.reference_c)
 }
 
-/// The closed form of the warm-up: the elongation in µm, `time_s` after a start from cold at the
+/// Returns the closed form of the warm-up: the elongation in µm, `time_s` after a start from cold at the
 /// speed for which `max_um` holds.
 ///
 /// ```
@@ -105,7 +105,7 @@ fn growth(model: &Warmup, share: f64) -> f64 {
     -(-model.exponent * share).exp_m1()
 }
 
-/// The input of the warm-up's state while heat reaches the spindle: (n/n_rated)^p, 1 at p = 0.
+/// Returns the input of the warm-up's state while heat reaches the spindle: (n/n_rated)^p, 1 at p = 0.
 ///
 /// ```
 /// use trueup_machine::{file::Warmup, model::heating};
@@ -136,7 +136,7 @@ pub struct WarmupState {
 }
 
 impl WarmupState {
-    /// The elongation in µm at `time_s`, the spindle having turned at `spindle_rpm` since the row
+    /// Returns the elongation in µm at `time_s`, the spindle having turned at `spindle_rpm` since the row
     /// before. NaN for a missing time or speed: such a row is passed over, and the next one's speed
     /// counts since the last row that had both.
     pub fn step(&mut self, model: &Warmup, time_s: f64, spindle_rpm: f64) -> f64 {

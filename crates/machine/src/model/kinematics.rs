@@ -28,7 +28,7 @@ pub fn rotated(vector: [f64; 3], axis: RotaryAxis, angle_deg: f64) -> [f64; 3] {
     }
 }
 
-/// The tool direction V at the angles `angle_deg` of A, B and C: `at_zero` turned by `head_axes`,
+/// Returns the tool direction V at the angles `angle_deg` of A, B and C: `at_zero` turned by `head_axes`,
 /// which are listed from the frame to the tool.
 ///
 /// ```
@@ -50,7 +50,7 @@ pub fn tool_direction(
         .fold(at_zero, |vector, &axis| rotated(vector, axis, angle_deg[axis.index()]))
 }
 
-/// The error on X, Y and Z in µm of a tool that has grown by `elongation_um` along the unit vector
+/// Returns the error on X, Y and Z in µm of a tool that has grown by `elongation_um` along the unit vector
 /// `tool_direction`. A component of 0 takes nothing of a growth that is not known (NaN).
 #[must_use]
 pub fn error_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
@@ -58,7 +58,7 @@ pub fn error_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
     tool_direction.map(|v| if v == 0.0 { 0.0 } else { elongation_um * v + 0.0 })
 }
 
-/// What the CNC must add to its command on X, Y and Z, in µm: the opposite of [`error_um`].
+/// Returns what the CNC must add to its command on X, Y and Z, in µm: the opposite of [`error_um`].
 #[must_use]
 pub fn offset_um(elongation_um: f64, tool_direction: [f64; 3]) -> [f64; 3] {
     error_um(-elongation_um, tool_direction)

@@ -24,7 +24,7 @@ use crate::{
     file::{ElongationSource, Machine},
 };
 
-/// The part's temperature in °C at each time, from that of its thermometer: linear between the rows, the
+/// Returns the part's temperature in °C at each time, from that of its thermometer: linear between the rows, the
 /// end values held; of one series, whose time does not run back. NaN where either is missing.
 ///
 /// ```
@@ -53,8 +53,8 @@ pub fn part_temperature(late: Late, time_s: &[f64], shown_c: &[f64]) -> Vec<f64>
     parts(late, time_s, shown_c, &Inner::default(), apart_s)
 }
 
-/// The same where a thermometer's values are means over several rows each, at the mean of their times: what its lag
-/// did to them goes by how far those rows were `apart_s`.
+/// Returns the same where a thermometer's values are means over several rows each, at the mean of their times: what its
+/// lag did to them goes by how far those rows were `apart_s`.
 #[must_use]
 pub fn part_of_means(late: Late, time_s: &[f64], apart_s: &[f64], mean_c: &[f64]) -> Vec<f64> {
     parts(late, time_s, mean_c, &Inner::default(), |row| apart_s[row])
@@ -159,7 +159,7 @@ fn parts(
     out
 }
 
-/// The rows that have both.
+/// Returns the rows that have both.
 fn known<'a>(time_s: &'a [f64], shown_c: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, [f64]>) {
     let rows = || time_s.iter().zip(shown_c);
     let is_known = |(t, c): &(&f64, &f64)| !(**t + **c).is_nan();
@@ -180,7 +180,7 @@ struct Shown<'a> {
 }
 
 impl Shown<'_> {
-    /// The slope in K/s over `width_s` around a time, of which what is in the record counts.
+    /// Returns the slope in K/s over `width_s` around a time, of which what is in the record counts.
     fn slope(&mut self, middle_s: f64, width_s: f64) -> f64 {
         let last = self.time_s.len() - 1;
         let begin_s = (middle_s - width_s / 2.0).max(self.time_s[0]);
@@ -199,7 +199,7 @@ impl Shown<'_> {
         self.along_from(self.end, at_s)
     }
 
-    /// The last row that is not after a time, or the first of all, looked for from the row `near` it.
+    /// Returns the last row that is not after a time, or the first of all, looked for from the row `near` it.
     fn row_before(&self, at_s: f64, mut near: usize) -> usize {
         while near > 0 && self.time_s[near] > at_s {
             near -= 1;
@@ -219,7 +219,7 @@ impl Shown<'_> {
     }
 }
 
-/// The temperatures of the parts whose thermometers are late by `machine`'s terms, for each row of a run,
+/// Returns the temperatures of the parts whose thermometers are late by `machine`'s terms, for each row of a run,
 /// by the names under which [`ReferenceModel`](super::ReferenceModel) looks for them among the others;
 /// `column` gives a column of the run.
 #[must_use]
@@ -245,7 +245,7 @@ impl LateParts {
         Self(Quantity::ALL.map(|quantity| late_thermometer(machine, quantity).is_some()))
     }
 
-    /// The temperature that `quantity` follows: its thermometer's, or what is known of the part.
+    /// Returns the temperature that `quantity` follows: its thermometer's, or what is known of the part.
     pub(super) fn followed_c(
         self,
         quantity: Quantity,
@@ -265,7 +265,7 @@ fn part_name(quantity: Quantity) -> String {
     format!("the part of {}", quantity.name())
 }
 
-/// The thermometer of `quantity`'s own law, and how late it is.
+/// Returns the thermometer of `quantity`'s own law, and how late it is.
 fn late_thermometer(machine: &Machine, quantity: Quantity) -> Option<(&str, Late)> {
     let of_quantity = machine.terms.iter().filter(|term| term.quantity == quantity);
     let late = of_quantity.filter_map(|term| term.effect.late()).next_back()?;

@@ -14,13 +14,13 @@
 
 use crate::file::axis::{Backlash, Dual, Pitch};
 
-/// Whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
+/// Returns whether an approach is in the negative direction. A direction that is missing (NaN) is positive.
 #[must_use]
 pub fn is_reverse(direction: f64) -> bool {
     direction < 0.0
 }
 
-/// The position error in µm at `position_mm`, approached in `direction` (+1 or −1); NaN for a
+/// Returns the position error in µm at `position_mm`, approached in `direction` (+1 or −1); NaN for a
 /// missing position.
 ///
 /// ```
@@ -54,7 +54,7 @@ pub fn pitch_um(pitch: &Pitch, position_mm: f64, direction: f64) -> f64 {
     }
 }
 
-/// The position error in µm of a gantry with two drives: between the first one's `pitch` and the
+/// Returns the position error in µm of a gantry with two drives: between the first one's `pitch` and the
 /// second one's by where `across_mm` is on the beam.
 ///
 /// ```
@@ -81,7 +81,7 @@ pub fn dual_pitch_um(
     (1.0 - share) * first_um + share * second_um
 }
 
-/// The error of backlash in µm after an approach in `direction` (+1 or −1).
+/// Returns the error of backlash in µm after an approach in `direction` (+1 or −1).
 ///
 /// ```
 /// use trueup_machine::{file::Backlash, model::backlash_um};

@@ -14,7 +14,7 @@ use crate::{
 /// Travel that a backlash which grows with the position is reckoned for, in m: the wire's.
 const LARGEST_TRAVEL_M: f64 = 21.5;
 
-/// The most by which the offset of `axis` goes against a reversal, in µm, 0 where it never does: the
+/// Returns the most by which the offset of `axis` goes against a reversal, in µm, 0 where it never does: the
 /// sum of the largest of each part, so that the truth is at most as much.
 ///
 /// ```
@@ -46,7 +46,7 @@ pub fn over_compensation_um(machine: &Machine, axis: LinearAxis) -> f64 {
     tables + backlash + terms
 }
 
-/// The most by which the reverse table is below the forward one.
+/// Returns the most by which the reverse table is below the forward one.
 fn table_um(pitch: &Pitch) -> f64 {
     let Some(reverse_um) = &pitch.reverse_um else { return 0.0 };
     let steps = pitch.forward_um.iter().zip(reverse_um);

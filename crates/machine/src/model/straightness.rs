@@ -19,7 +19,7 @@
 
 use crate::file::straightness::{BSpline, Squareness};
 
-/// The spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
+/// Returns the spline at `position_mm`, in µm; NaN for a missing position, and for a spline that breaks
 /// the rules of [`BSpline::check`].
 ///
 /// ```
@@ -41,7 +41,7 @@ pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
     at.de_boor(spline, d)
 }
 
-/// How much each control point weighs at `position_mm`: the number of the first of as many as the
+/// Returns how much each control point weighs at `position_mm`: the number of the first of as many as the
 /// order says, and their weights, which add up to 1. All NaN where [`spline_um`] is.
 #[must_use]
 pub fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
@@ -81,7 +81,7 @@ impl Segment {
         Some(Self { t, first: span - degree })
     }
 
-    /// The module's recurrence on d_{s−p} … d_s.
+    /// Returns the module's recurrence on d_{s−p} … d_s.
     fn de_boor(&self, spline: &BSpline, mut d: [f64; 4]) -> f64 {
         let (order, knots) = (spline.order, &spline.knots_mm);
         for round in 1..order {
@@ -96,7 +96,7 @@ impl Segment {
     }
 }
 
-/// The error in µm of an angle between two axes, at `along_mm` on the second one.
+/// Returns the error in µm of an angle between two axes, at `along_mm` on the second one.
 ///
 /// ```
 /// use trueup_machine::{file::{LinearAxis, Squareness}, model::squareness_um};
@@ -112,7 +112,7 @@ pub fn squareness_um(squareness: &Squareness, along_mm: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// The example of the format's description.
+    /// Returns the example of the format's description.
     fn example() -> BSpline {
         BSpline {
             order: 4,

@@ -23,7 +23,7 @@ pub struct Falling {
     pub axes_s: [Option<f64>; 3],
 }
 
-/// The machine with the constants that its terms say are right.
+/// Returns the machine with the constants that its terms say are right.
 ///
 /// A warm-up's `cool_s` that is not written follows its rate of heating, corrected or not.
 #[must_use]
@@ -63,7 +63,7 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
 pub(super) struct TermLags(Vec<Vec<Lag>>);
 
 impl TermLags {
-    /// The prediction `p_um` of `quantity` with the terms that change it, but for a time shift; `terms`
+    /// Returns the prediction `p_um` of `quantity` with the terms that change it, but for a time shift; `terms`
     /// in the order in which they act.
     pub(super) fn apply(
         &mut self,
@@ -87,7 +87,7 @@ impl TermLags {
     }
 }
 
-/// The prediction with `term`, from that of the law alone and that so far.
+/// Returns the prediction with `term`, from that of the law alone and that so far.
 fn changed(
     term: &Term,
     lags: &mut [Lag],
@@ -130,14 +130,14 @@ fn changed(
     p_um + effect.at_row(&values, &x)
 }
 
-/// The shift in s of the predictions of `quantity`: the sum of its terms'.
+/// Returns the shift in s of the predictions of `quantity`: the sum of its terms'.
 #[must_use]
 pub fn time_shift_s(terms: &[Term], quantity: Quantity) -> f64 {
     let of_quantity = terms.iter().filter(|term| term.quantity == quantity);
     of_quantity.map(|term| term.effect.shift_s()).sum()
 }
 
-/// A series at t − shift for each of its own times: linear between the rows that have both, the
+/// Returns a series at t − shift for each of its own times: linear between the rows that have both, the
 /// end values held. Where time runs back, a new run begins. NaN where the time is missing.
 ///
 /// ```
@@ -181,7 +181,7 @@ pub fn shifted(time_s: &[f64], values: &[f64], shift_s: f64) -> Vec<f64> {
     out
 }
 
-/// The same in these `rows` alone, which rise. Where times rise and nothing is missing only what is around them
+/// Returns the same in these `rows` alone, which rise. Where times rise and nothing is missing only what is around them
 /// is looked at.
 ///
 /// ```
@@ -207,7 +207,7 @@ pub fn shifted_at(time_s: &[f64], values: &[f64], shift_s: f64, rows: &[usize]) 
     rows.iter().map(of).collect()
 }
 
-/// The columns that the terms need and that may be missing in a run.
+/// Returns the columns that the terms need and that may be missing in a run.
 pub(super) fn columns(terms: &[Term]) -> Vec<String> {
     terms.iter().flat_map(|term| term.effect.needed_columns(term.quantity)).collect()
 }

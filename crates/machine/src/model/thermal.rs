@@ -59,7 +59,7 @@ fn interpolated(table: &[ThermalRow], temperature_c: f64) -> (f64, f64) {
     (between(low.constant_um, high.constant_um), between(low.slope_um_per_m, high.slope_um_per_m))
 }
 
-/// The axis's thermal error in µm, at a temperature that has passed its lag already; NaN where the
+/// Returns the axis's thermal error in µm, at a temperature that has passed its lag already; NaN where the
 /// temperature or a position that counts is missing.
 ///
 /// ```
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::file::ThermalMode;
 
-    /// The paper's axis: 23 °C to 42 °C is 270 µm/m.
+    /// Returns the paper's axis: 23 °C to 42 °C is 270 µm/m.
     fn paper() -> Thermal {
         Thermal {
             mode: ThermalMode::Position,

@@ -60,7 +60,7 @@ impl Bridge {
     }
 }
 
-/// The machine with a channel for every temperature that its model uses: to predict, nobody need
+/// Returns the machine with a channel for every temperature that its model uses: to predict, nobody need
 /// say how they are connected.
 fn with_all_temperatures(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
@@ -253,7 +253,7 @@ impl<'b> BridgeRun<'b> {
     }
 }
 
-/// A speed as the board knows it.
+/// Returns a speed as the board knows it.
 fn rpm(speed: f64) -> Rpm {
     // Slower than half a turn a minute is still a spindle that runs.
     let rounded = if speed == 0.0 { 0.0 } else { speed.abs().round().max(1.0) };

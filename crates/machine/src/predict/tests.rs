@@ -14,7 +14,7 @@ fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run")
 }
 
-/// What is written, and the account of it.
+/// Returns what is written, and the account of it.
 fn written(machine_text: &str, run_text: &str) -> (String, Written) {
     let (machine, run) = (machine(machine_text), run(run_text));
     let predictor = Predictor::new(&machine, &run).expect("can be predicted");

@@ -21,7 +21,7 @@ impl Cells {
         Self { clock: Clock::default(), form: vec![None; columns] }
     }
 
-    /// Whether the values of a column were written as times of day.
+    /// Returns whether the values of a column were written as times of day.
     pub(super) fn holds_times(&self, column: usize) -> bool {
         self.form.get(column) == Some(&Some(Form::Time))
     }
@@ -39,7 +39,7 @@ impl Cells {
         })
     }
 
-    /// The value of a field of this column, NaN if it is missing; else the rule it breaks. A time of
+    /// Returns the value of a field of this column, NaN if it is missing; else the rule it breaks. A time of
     /// day is in seconds from the first one of the file.
     pub(super) fn read(&mut self, column: usize, name: &str, text: &str) -> Result<f64, String> {
         let is_time = looks_like_date(text) && text.parse::<f64>().is_err();
@@ -68,7 +68,7 @@ impl Cells {
     }
 }
 
-/// The value of a field, NaN if it is missing; else the rule it breaks.
+/// Returns the value of a field, NaN if it is missing; else the rule it breaks.
 fn read_number(text: &str, is_time: bool) -> Result<f64, String> {
     if text.is_empty() {
         return Ok(f64::NAN);
@@ -88,7 +88,7 @@ fn read_number(text: &str, is_time: bool) -> Result<f64, String> {
     }
 }
 
-/// Whether `text` is a number but for its commas.
+/// Returns whether `text` is a number but for its commas.
 fn has_decimal_comma(text: &str) -> bool {
     let of_a_number = |c: char| c.is_ascii_digit() || "+-.,eE".contains(c);
     text.contains(',')

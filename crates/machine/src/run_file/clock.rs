@@ -8,17 +8,17 @@ use time::{OffsetDateTime, PrimitiveDateTime, UtcOffset, format_description::wel
 /// Names, in small letters, under which loggers write such a time.
 const NAMES: [&str; 4] = ["time", "timestamp", "datetime", "date_time"];
 
-/// Whether a column of this name may hold times of day.
+/// Returns whether a column of this name may hold times of day.
 pub(super) fn may_hold_times(name: &str) -> bool {
     is_of_logger(name) || name == "time_s" || name.ends_with("_time_s")
 }
 
-/// Whether loggers call their time so; its values are seconds only where it says so in its name.
+/// Returns whether loggers call their time so; its values are seconds only where it says so in its name.
 pub(super) fn is_of_logger(name: &str) -> bool {
     NAMES.contains(&name.to_lowercase().as_str())
 }
 
-/// Whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
+/// Returns whether these can only be seconds of Unix: of the years 2001 to 2096, and never running back.
 pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
     const YEARS: std::ops::Range<f64> = 1e9..4e9;
     let mut there = values.iter().copied().filter(|value| !value.is_nan()).peekable();
@@ -31,7 +31,7 @@ pub(super) fn are_unix_seconds(values: &[f64]) -> bool {
         })
 }
 
-/// Whether `text` begins as a date does.
+/// Returns whether `text` begins as a date does.
 pub(super) fn looks_like_date(text: &str) -> bool {
     let bytes = text.as_bytes();
     bytes.len() >= 8 && bytes[..4].iter().all(u8::is_ascii_digit) && bytes[4] == b'-'

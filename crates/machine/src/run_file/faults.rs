@@ -24,7 +24,7 @@ impl Faults {
         self.listed.len() + self.unlisted
     }
 
-    /// All of them as one; `None` without any.
+    /// Returns all of them as one; `None` without any.
     pub(super) fn into_error(self) -> Option<BadInput> {
         let error = BadInput::gathered(self.listed)?;
         Some(BadInput { unlisted: error.unlisted + self.unlisted, ..error })

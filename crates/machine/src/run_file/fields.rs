@@ -5,7 +5,7 @@
 
 use std::borrow::Cow;
 
-/// The separator of a file by its header: the more frequent of `,` and `;`.
+/// Returns the separator of a file by its header: the more frequent of `,` and `;`.
 pub(super) fn separator_of(header: &str) -> char {
     let mut quoted = false;
     let (mut commas, mut semicolons) = (0, 0);
@@ -20,7 +20,7 @@ pub(super) fn separator_of(header: &str) -> char {
     if semicolons > commas { ';' } else { ',' }
 }
 
-/// The separator that a line `sep=;` before the header states, as Excel writes it.
+/// Returns the separator that a line `sep=;` before the header states, as Excel writes it.
 pub(super) fn separator_line(line: &str) -> Option<char> {
     let stated = line.trim_start_matches('\u{feff}').trim().trim_matches('"');
     match stated.strip_prefix("sep=")?.chars().collect::<Vec<char>>()[..] {

@@ -83,7 +83,7 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("calibration_crc", "", "the calibration that the bridge ran, as a decimal number"),
 ];
 
-/// The known column of this name.
+/// Returns the known column of this name.
 pub(super) fn known_column(name: &str) -> Option<&'static KnownColumn> {
     let is_it = |known: &&KnownColumn| match known.name.split_once("<name>") {
         None => known.name == name,
@@ -95,7 +95,7 @@ pub(super) fn known_column(name: &str) -> Option<&'static KnownColumn> {
     KNOWN_COLUMNS.iter().find(is_it)
 }
 
-/// Whether a column of this name is known.
+/// Returns whether a column of this name is known.
 ///
 /// ```
 /// use trueup_machine::run_file::is_known_column;

@@ -8,7 +8,7 @@ use crate::tool::{TOOL_COLUMN, label_code};
 /// The longest label, in characters.
 const MAX_CHARACTERS: usize = 64;
 
-/// Whether cells of this column may be labels.
+/// Returns whether cells of this column may be labels.
 pub(super) fn has_labels(column: &str) -> bool {
     column == TOOL_COLUMN
 }
@@ -26,7 +26,7 @@ pub(super) fn read(cell: &str, number: Result<f64, String>) -> Result<f64, Strin
     }
 }
 
-/// Whether it is a word: it has a letter, and no comma, which would be that of a decimal.
+/// Returns whether it is a word: it has a letter, and no comma, which would be that of a decimal.
 fn is_label(cell: &str) -> bool {
     cell.contains(char::is_alphabetic)
         && cell.chars().count() <= MAX_CHARACTERS

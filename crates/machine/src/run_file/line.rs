@@ -38,7 +38,7 @@ pub(super) struct Line {
 }
 
 impl Line {
-    /// Whether there is anything to be read in it: it is neither empty nor a comment.
+    /// Returns whether there is anything to be read in it: it is neither empty nor a comment.
     pub(super) fn is_content(&self) -> bool {
         let text = self.text.trim_start();
         !text.is_empty() && !text.starts_with('#')
@@ -68,7 +68,7 @@ impl<'p, S: BufRead> Lines<'p, S> {
         Self { source, path, bytes: Vec::new(), number: 0, file_bytes: 0, most_bytes }
     }
 
-    /// The next line; none at the end.
+    /// Returns the next line; none at the end.
     pub(super) fn read(&mut self) -> Result<Option<Line>, Unread> {
         self.bytes.clear();
         self.number += 1;

@@ -41,7 +41,7 @@ const UNITS: [(&str, &[&str]); 8] = [
     ("c", &["degc", "celsius", "f", "degf", "fahrenheit", "k", "kelvin"]),
 ];
 
-/// The known column that `name` probably stands for; `None` for a known one and for all others.
+/// Returns the known column that `name` probably stands for; `None` for a known one and for all others.
 pub(super) fn meant(name: &str) -> Option<String> {
     let plain = plain(name);
     let found = of_list(&plain).or_else(|| direction(&plain)).or_else(|| temperature(&plain));
@@ -58,7 +58,7 @@ fn direction(plain: &str) -> Option<String> {
     ["x", "y", "z"].contains(&axis).then(|| format!("dir_{axis}"))
 }
 
-/// A known name with one of its words misspelt. A word with a digit, or a short one, is a name of its own:
+/// Returns a known name with one of its words misspelt. A word with a digit, or a short one, is a name of its own:
 /// `measured_du_um` is of an axis U.
 fn misspelt(plain: &str) -> Option<String> {
     let known = KNOWN_COLUMNS.iter().map(|known| known.name).filter(|name| !name.contains('<'));
@@ -111,7 +111,7 @@ fn plain(name: &str) -> String {
     plain.trim_end_matches('_').to_string()
 }
 
-/// Whether `unit` is `right` or may be meant by it.
+/// Returns whether `unit` is `right` or may be meant by it.
 fn is_unit(unit: &str, right: &str) -> bool {
     let others = UNITS.iter().find(|(known, _)| *known == right);
     unit == right || others.is_some_and(|(_, others)| others.contains(&unit))

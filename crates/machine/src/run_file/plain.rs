@@ -1,8 +1,8 @@
 //! A row of plain numbers, as nearly every row is one: read in one pass over its bytes. Of any other row nothing is
 //! said here: it is read field by field, where what is wrong with it is known.
 
-/// The value and the place of each field of `text`, if they are as many as `columns`, all characters are ASCII, and each
-/// field is a finite number or nothing.
+/// Returns the value and the place of each field of `text`, if they are as many as `columns`, all characters are ASCII,
+/// and each field is a finite number or nothing.
 pub(super) fn fields(text: &str, separator: char, columns: usize) -> Option<Vec<(f64, usize)>> {
     let bytes = text.as_bytes();
     if !text.is_ascii() {

@@ -329,7 +329,7 @@ impl<'p> Reading<'p> {
         self.faults.note(BadInput::new(place, rule).with_help(help));
     }
 
-    /// The run, or all that is wrong with it.
+    /// Returns the run, or all that is wrong with it.
     fn end(self) -> Result<Table, BadInput> {
         if let Some(error) = self.faults.into_error() {
             return Err(error);
@@ -374,7 +374,7 @@ fn check_direction(value: f64) -> Result<f64, String> {
     Ok(value)
 }
 
-/// What belongs into a column of this name.
+/// Returns what belongs into a column of this name.
 fn help(name: &str) -> String {
     let value = "a number with a decimal point; empty or nan where there is none";
     match known::known_column(name) {

@@ -148,7 +148,7 @@ fn a_run_of_200_000_rows_is_read_whole() {
     assert_eq!(run.place(199_999, "sensor_counts").line, 200_001);
 }
 
-/// What is said of `text` where a file may have 40 bytes and 4 values.
+/// Returns what is said of `text` where a file may have 40 bytes and 4 values.
 fn out_of_bounds(text: &str) -> String {
     let bounds = Bounds { bytes: 40, values: 4 };
     let read = RunFile::within(bounds, text.as_bytes(), Path::new("r.csv"));

@@ -14,7 +14,7 @@ use super::difference::{
 };
 use crate::stored::{FINE_PER_NM, NM_PER_UM};
 
-/// What is different in `new`, a sentence each; empty: the board computes the same by both.
+/// Returns what is different in `new`, a sentence each; empty: the board computes the same by both.
 #[must_use]
 pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
     let mut all = Vec::new();
@@ -91,7 +91,7 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
     all
 }
 
-/// A change with its size, where it is known.
+/// Returns a change with its size, where it is known.
 fn with_size(what: &str, nm: Option<f64>, over: &str) -> String {
     match nm {
         // What has changed has no size of its own.
@@ -126,7 +126,7 @@ fn axis_changes(axis: LinearAxis, a: &AxisModel<'_>, b: &AxisModel<'_>, all: &mu
     }
 }
 
-/// The largest difference of two tables, or the largest error of the one that is there alone.
+/// Returns the largest difference of two tables, or the largest error of the one that is there alone.
 fn pitch_size(a: Option<&Pitch<'_>>, b: Option<&Pitch<'_>>) -> Option<f64> {
     match (a, b) {
         (Some(a), Some(b)) => pitch_difference_nm(a, b),

@@ -24,7 +24,7 @@ use crate::{
 const FULL_ONE: f64 = (1_u64 << warmup::Warmup::FULL_FRACTION_BITS) as f64;
 const DRIVE_ONE: f64 = warmup::Warmup::RATED as f64;
 
-/// The largest difference in nm between what the board computes by `a` and by `b`; `None` where they
+/// Returns the largest difference in nm between what the board computes by `a` and by `b`; `None` where they
 /// differ in more than numbers of nanometres.
 pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<f64> {
     /// A tool direction is held against the other with this elongation.
@@ -67,7 +67,7 @@ fn both<T>(a: Option<T>, b: Option<T>, difference: impl Fn(T, T) -> Option<f64>)
     }
 }
 
-/// The difference of two gradients over 1 m, in nm.
+/// Returns the difference of two gradients over 1 m, in nm.
 pub(super) fn metre_of(a: Gradient, b: Gradient) -> f64 {
     f64::from(a.0.abs_diff(b.0)) / GRADIENT_PER_UM_PER_M * NM_PER_UM
 }
@@ -104,7 +104,7 @@ pub(super) fn spindle_difference_nm(
     Some(worst.max(temperature).max(warmup))
 }
 
-/// How far two lags are apart after a step of this size: at most its e-th part for each part by
+/// Returns how far two lags are apart after a step of this size: at most its e-th part for each part by
 /// which their time constants differ.
 fn lag_difference_nm(a: SmoothingFactor, b: SmoothingFactor, step_nm: f64) -> f64 {
     if a == b {
@@ -169,7 +169,7 @@ pub(super) fn pitch_difference_nm(a: &Pitch<'_>, b: &Pitch<'_>) -> Option<f64> {
     Some(f64::from(off.max().unwrap_or(0)) / FINE_PER_NM)
 }
 
-/// The largest error of a table, at its points and in both directions, in nm.
+/// Returns the largest error of a table, at its points and in both directions, in nm.
 pub(super) fn pitch_largest_nm(pitch: &Pitch<'_>) -> Option<f64> {
     let places = (0_i64..).take(pitch.forward.len()).map(|n| {
         let place = i64::from(pitch.start.0) + n * i64::from(pitch.step.length());
@@ -198,7 +198,7 @@ pub(super) fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
     f64::from(worst)
 }
 
-/// How far two terms are apart, in nm; `None` where they are not the same kind of thing.
+/// Returns how far two terms are apart, in nm; `None` where they are not the same kind of thing.
 pub(super) fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
     /// So far from 0 waves are held against each other, in position units: 15 m.
     const REACH: f64 = 1.5e9;

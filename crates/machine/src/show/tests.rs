@@ -19,7 +19,7 @@ fn paper_but(from: &str, to: &str) -> Compiled {
     compiled(&PAPER.replace("divider = 0.328", "divider = 0.33").replace(from, to))
 }
 
-/// A 3-axis machine of `sections`, as it is shown.
+/// Returns a 3-axis machine of `sections`, as it is shown.
 fn shown(sections: &str) -> Shown {
     let text = format!("[machine]\nname = \"mill\"\nkind = \"3-axis\"\n{sections}");
     show(&compiled(&text).calibration())

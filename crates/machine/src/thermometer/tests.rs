@@ -7,7 +7,7 @@ fn noise(row: usize) -> f64 {
     (mixed >> 40) as f64 / (1_u64 << 23) as f64 - 1.0
 }
 
-/// A spindle's thermometer, a row a second: warmed for half an hour and cooled, with noise of this
+/// Returns a spindle's thermometer, a row a second: warmed for half an hour and cooled, with noise of this
 /// amplitude, to this last digit.
 fn thermometer(rows: usize, noise_c: f64, digit_c: f64) -> Vec<f64> {
     let mut celsius = 22.0;

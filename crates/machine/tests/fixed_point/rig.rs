@@ -46,7 +46,7 @@ impl<'c> Rig<'c> {
         }
     }
 
-    /// The offset after so many milliseconds, in nm.
+    /// Returns the offset after so many milliseconds, in nm.
     pub fn offset_nm(&mut self, ms: u32) -> [i32; 3] {
         let mut last = None;
         for _ in 0..ms {
@@ -88,7 +88,7 @@ impl<'c> Rig<'c> {
     }
 }
 
-/// A machine of `sections` with wide limits, `kind` and `inputs` as a user writes them.
+/// Returns a machine of `sections` with wide limits, `kind` and `inputs` as a user writes them.
 pub fn machine_of(kind: &str, sections: &str) -> String {
     format!(
         "[machine]\nname = \"mill\"\nkind = {kind}\n[inputs]\n\

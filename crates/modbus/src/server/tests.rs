@@ -59,7 +59,7 @@ pub(crate) fn write(block: &[u16]) -> List<u8> {
     pdu
 }
 
-/// What is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
+/// Returns what is answered to a PDU over TCP and over RTU, without header and checksum; `None`: nothing.
 fn ask(bridge: &mut Mock, unit: u8, pdu: &[u8]) -> [Option<List<u8>>; 2] {
     let mut response = Response::new();
     let over_tcp = answer(Transport::Tcp, 1, &tcp(unit, pdu), bridge, &mut response).then(|| {

@@ -9,7 +9,7 @@ use trueup_core::{
     units::{Nanometres, Reading, Temperature},
 };
 
-/// A bridge with a sensor and nothing else.
+/// Returns a bridge with a sensor and nothing else.
 pub(crate) fn tests_calibration() -> Calibration<'static> {
     Calibration {
         thermometers: [None; 8],

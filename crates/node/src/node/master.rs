@@ -203,19 +203,19 @@ impl Master {
         self.other_line_ms = self.other_line_ms.saturating_sub(elapsed_ms);
     }
 
-    /// Whether the engage sequence is complete.
+    /// Returns whether the engage sequence is complete.
     pub const fn is_started(&self) -> bool {
         self.is_started
     }
 
-    /// Whether more than one sends `Control`.
+    /// Returns whether more than one sends `Control`.
     pub const fn is_second(&self) -> bool {
         self.is_doubtful || self.other_line_ms > 0
     }
 
-    /// Whether the master is the CNC: it has engaged since it began to speak, or it speaks since the start of the board
-    /// without a gap, and its axes are referenced. A tool that sends `Control` for want of a CNC has no axes. One that
-    /// comes after a silence may be anybody.
+    /// Returns whether the master is the CNC: it has engaged since it began to speak, or it speaks since the start of
+    /// the board without a gap, and its axes are referenced. A tool that sends `Control` for want of a CNC has no axes.
+    /// One that comes after a silence may be anybody.
     pub fn is_cnc(&self) -> bool {
         let from_the_start = !self.was_interrupted && self.last.referenced;
         self.line.is_some() && (self.has_engaged || from_the_start)

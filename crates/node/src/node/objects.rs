@@ -20,12 +20,12 @@ impl Node<'_> {
         self.serial_number = number;
     }
 
-    /// Whether no offset is followed: only then may the board be changed under it.
+    /// Returns whether no offset is followed: only then may the board be changed under it.
     pub(super) fn is_at_rest(&self) -> bool {
         matches!(self.last.quality, Quality::Off | Quality::Fault)
     }
 
-    /// A process value in thousandths of its unit.
+    /// Returns a process value in thousandths of its unit.
     fn input(&self, number: u8) -> Option<i32> {
         if number.saturating_add(1) == ELONGATION_INPUT {
             return self.state.elongation().map(|elongation| elongation.0);
@@ -140,7 +140,7 @@ impl Node<'_> {
 }
 
 impl Node<'_> {
-    /// What a status frame about this item says.
+    /// Returns what a status frame about this item says.
     pub(super) fn item(&self, number: u8) -> Item {
         let short = |number: u32| u16::try_from(number).unwrap_or(u16::MAX);
         let counters = self.receiver.counters();
@@ -168,7 +168,7 @@ impl Node<'_> {
         }
     }
 
-    /// A temperature in 0.01 °C.
+    /// Returns a temperature in 0.01 °C.
     // Once in the image, not once for each channel.
     #[inline(never)]
     pub(super) fn centi_c(&self, channel: u8) -> Option<i16> {
@@ -180,7 +180,7 @@ impl Node<'_> {
     }
 }
 
-/// What a master is told of a calibration that is not loaded.
+/// Returns what a master is told of a calibration that is not loaded.
 pub(super) const fn abort(error: LoadError) -> Abort {
     match error {
         LoadError::TooLong => Abort::TooLong,

@@ -28,7 +28,7 @@ impl Node<'_> {
         self.bar();
     }
 
-    /// Whether the running constants are those of the example.
+    /// Returns whether the running constants are those of the example.
     pub(super) fn is_example(&self) -> bool {
         self.board_faults.has(Fault::ExampleConstants)
     }
@@ -39,7 +39,7 @@ impl Node<'_> {
         self.bar();
     }
 
-    /// The question that was answered last, once.
+    /// Returns the question that was answered last, once.
     pub fn take_confirmed(&mut self) -> Option<Fault> {
         self.confirmed.take()
     }

@@ -30,7 +30,7 @@ fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
     }
 }
 
-/// A node whose PLC has said this, a block each 20 ms; the counter of the next one.
+/// Returns a node whose PLC has said this, a block each 20 ms; the counter of the next one.
 fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in said {

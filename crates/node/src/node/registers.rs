@@ -20,7 +20,7 @@ pub(super) struct Registers {
 }
 
 impl Node<'_> {
-    /// What a PLC reads: all of the last tick, whose time is the counter.
+    /// Returns what a PLC reads: all of the last tick, whose time is the counter.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     #[must_use]
@@ -39,7 +39,7 @@ impl Node<'_> {
         }
     }
 
-    /// The holding block that was last used; zeros before.
+    /// Returns the holding block that was last used; zeros before.
     #[must_use]
     pub const fn holding(&self) -> cnc::Registers {
         self.registers.holding

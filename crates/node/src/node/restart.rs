@@ -10,7 +10,7 @@ use super::Node;
 const FORGIVEN_MS: u32 = 1_000;
 
 impl Node<'_> {
-    /// What is to outlast a reset.
+    /// Returns what is to outlast a reset.
     #[must_use]
     pub fn kept(&self) -> Kept {
         let heat = self.bridge.as_ref().map(|bridge| bridge.heat_memory(&self.state));

@@ -11,7 +11,7 @@ use trueup_core::{
     warmup::Warmup,
 };
 
-/// A spindle without a sensor that grows by 80 µm, with a time constant of 20 s.
+/// Returns a spindle without a sensor that grows by 80 µm, with a time constant of 20 s.
 fn warming_up() -> Calibration<'static> {
     let mut calibration = tests_calibration();
     calibration.limits.slew_nm_per_s = 10_000;

@@ -28,7 +28,7 @@ impl Node<'_> {
         }
     }
 
-    /// The offset of an axis as constant and slope.
+    /// Returns the offset of an axis as constant and slope.
     fn slope(&mut self, axis: u8) -> Item {
         let number = usize::from(axis);
         let (Some(bridge), Some(name), Some(sent)) =

@@ -76,7 +76,7 @@ impl Rig<'_> {
     }
 }
 
-/// The last slope of X.
+/// Returns the last slope of X.
 fn slope_of_x(items: &[(u32, Item)]) -> (Option<i16>, i16) {
     let of_x = |(_, item): &(u32, Item)| match *item {
         Item::Slope { axis: 0, constant, slope } => Some((constant, slope)),

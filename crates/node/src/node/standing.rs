@@ -61,12 +61,12 @@ impl Offer {
 }
 
 impl Node<'_> {
-    /// What came of the last `Zero`, once.
+    /// Returns what came of the last `Zero`, once.
     pub fn take_zero(&mut self) -> Option<Zero> {
         self.zero.take()
     }
 
-    /// The error that counts as none.
+    /// Returns the error that counts as none.
     #[must_use]
     pub fn reference(&self) -> Reference {
         self.state.reference()
@@ -94,7 +94,7 @@ impl Node<'_> {
         true
     }
 
-    /// What the board is to store for the running calibration, once after each change.
+    /// Returns what the board is to store for the running calibration, once after each change.
     pub fn take_standing(&mut self) -> Option<Standing> {
         core::mem::take(&mut self.offer.is_new).then(|| Standing {
             reference: self.offer.reference.unwrap_or_else(|| self.state.reference()),
@@ -198,7 +198,7 @@ impl Node<'_> {
         Ok(())
     }
 
-    /// Whether the board is to store its running calibration anew, once; [`Self::end_drop`] is to follow.
+    /// Returns whether the board is to store its running calibration anew, once; [`Self::end_drop`] is to follow.
     pub fn take_drop(&mut self) -> bool {
         core::mem::take(&mut self.drops_new)
     }
@@ -216,7 +216,7 @@ impl Node<'_> {
     }
 }
 
-/// A length in fine units, if they hold it.
+/// Returns a length in fine units, if they hold it.
 fn fine(nm: Nanometres) -> Option<Fine> {
     nm.0.checked_mul(Fine::PER_NANOMETRE).map(Fine)
 }

@@ -62,7 +62,7 @@ fn state(node: &Node<'_>) -> StateBits {
     node.faults(&node.last).state()
 }
 
-/// A board that runs on a calibration with these limits, in µm.
+/// Returns a board that runs on a calibration with these limits, in µm.
 fn board(max_um: [i32; 3]) -> Node<'static> {
     let mut calibration = tests_calibration();
     calibration.limits.max = max_um.map(|um| Nanometres(um * 1_000));

@@ -14,7 +14,7 @@ impl Node<'_> {
         self.state.set_supply((!is_off).then(|| self.supply.scale()));
     }
 
-    /// The level of the supply that readings, and with them the reference, count from; 0: not known yet.
+    /// Returns the level of the supply that readings, and with them the reference, count from; 0: not known yet.
     #[must_use]
     pub fn supply_basis(&self) -> Level {
         self.supply.basis()

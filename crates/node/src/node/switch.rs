@@ -69,7 +69,7 @@ mod tests {
     use trueup_core::cnc::Control;
     use trueup_link::{frame::Frame, frames, layout::NMT_ID};
 
-    /// A node at rest whose CNC says `Service`.
+    /// Returns a node at rest whose CNC says `Service`.
     fn in_service<'a>(asks: bool) -> Node<'a> {
         let mut calibration = tests_calibration();
         calibration.guards.service_switch = asks;

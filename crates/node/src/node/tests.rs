@@ -48,7 +48,7 @@ fn hear(node: &mut Node<'_>, data: [u8; 8]) {
     assert_eq!(node.hear(Line::Can, &request), Ok(None));
 }
 
-/// What is answered to a request within 200 ms.
+/// Returns what is answered to a request within 200 ms.
 fn ask(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
     hear(node, data);
     for _ in 0..200 {
@@ -110,7 +110,7 @@ fn read_domain(node: &mut Node<'_>, index: u16, subindex: u8) -> Vec<u8> {
     bytes
 }
 
-/// A node with all that a board gives it.
+/// Returns a node with all that a board gives it.
 fn whole<'a>(blob: &'a [u8], buffer: &'a mut [u8]) -> Node<'a> {
     let mut node = Node::new(Some(tests_calibration()), false);
     node.set_blob(blob);

@@ -52,7 +52,7 @@ impl Node<'_> {
         self.log.last = writes;
     }
 
-    /// A write that is to be stored, once; [`Self::end_write`] is to follow.
+    /// Returns a write that is to be stored, once; [`Self::end_write`] is to follow.
     pub fn take_write(&mut self) -> Option<Write> {
         self.log.waiting.pop_front()
     }
@@ -87,7 +87,7 @@ impl Node<'_> {
         self.log(What::Named, identity, line);
     }
 
-    /// The machine and the board that the running calibration is for.
+    /// Returns the machine and the board that the running calibration is for.
     pub(super) fn names(&self) -> Names<'_> {
         self.bridge.as_ref().map(|it| it.calibration().names).unwrap_or_default()
     }
@@ -116,7 +116,7 @@ impl Node<'_> {
         self.push(self.new_write(what, about, line));
     }
 
-    /// A write of this moment.
+    /// Returns a write of this moment.
     pub(super) fn new_write(&self, what: What, about: u32, line: Option<Line>) -> Write {
         let origin = match line {
             None => Origin::Board,
@@ -129,7 +129,7 @@ impl Node<'_> {
         Write { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended }
     }
 
-    /// The calibration that runs, by the CRC of its blob; 0: none.
+    /// Returns the calibration that runs, by the CRC of its blob; 0: none.
     pub(super) fn running_crc(&self) -> u32 {
         if self.blob.is_empty() { 0 } else { calibration::identity(self.blob) }
     }

@@ -40,7 +40,7 @@ fn each_fault_has_every_other_phase_of_four_seconds_in_turn() {
     }
 }
 
-/// The frames of a phase that have this identifier.
+/// Returns the frames of a phase that have this identifier.
 fn count(sent: &[Frame], id: u16) -> u32 {
     u32::try_from(sent.iter().filter(|frame| frame.id() == id).count()).expect("a few")
 }

@@ -133,8 +133,8 @@ impl Deviation {
     }
 }
 
-/// A fault and what follows from it; the changes of source in it, and by how much the offset goes beyond the true
-/// growth in the first second of each, in nm.
+/// Returns a fault and what follows from it; the changes of source in it, and by how much the offset goes beyond the
+/// true growth in the first second of each, in nm.
 fn changes_by_a_fault(rig: &mut Rig, worst_nm: &mut f64) -> u32 {
     let drawn = rig.bits();
     let blind = drawn.is_multiple_of(3);

@@ -22,7 +22,7 @@ fn number(rig: &Rig, what: ObjectKind) -> u32 {
     }
 }
 
-/// Whether anything that the objects tell has changed.
+/// Returns whether anything that the objects tell has changed.
 fn bits(rig: &Rig) -> [u32; 3] {
     [ObjectKind::AllFaults, ObjectKind::HighFaults, ObjectKind::StateBits].map(|it| number(rig, it))
 }
@@ -147,7 +147,7 @@ fn told_after(fault: Fault) -> u32 {
     panic!("{fault:?} is never told");
 }
 
-/// The list, a line each.
+/// Returns the list, a line each.
 pub fn list() -> String {
     let mut text = String::from("| fault | code | emergency after |\n|---|---|---|\n");
     for fault in Fault::ALL {

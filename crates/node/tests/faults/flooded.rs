@@ -27,7 +27,7 @@ enum Flood {
 
 const FLOODS: [Flood; 4] = [Flood::Bytes, Flood::Lines, Flood::CommandsWithoutCrc, Flood::Requests];
 
-/// A frame of the flood, or `None`: bytes that need not be one.
+/// Returns a frame of the flood, or `None`: bytes that need not be one.
 fn drawn(rig: &mut Rig, flood: Flood) -> Option<Frame> {
     // Position X, Y and Z, the angles, the speed, `Control`.
     const COMMANDS: [u16; 6] = [0x201, 0x301, 0x401, 0x501, 0x202, 0x302];

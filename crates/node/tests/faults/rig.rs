@@ -135,8 +135,8 @@ impl Kind {
         Self::Intermittent,
     ];
 
-    /// What a number becomes: `bias` is its size, and the drift that of a minute; `lasts_ms`: how long the fault
-    /// has been there; `then`: what it was when it began; `late`: what it was a second ago; `slow`: after 5 s.
+    /// Returns what a number becomes: `bias` is its size, and the drift that of a minute; `lasts_ms`: how long the
+    /// fault has been there; `then`: what it was when it began; `late`: what it was a second ago; `slow`: after 5 s.
     fn bend(self, now: f64, number: &Number, bias: f64, lasts_ms: u32) -> f64 {
         match self {
             Self::Bias => now + bias,
@@ -270,7 +270,7 @@ impl Rig {
         normals
     }
 
-    /// The fault of this part, and how long it has been there.
+    /// Returns the fault of this part, and how long it has been there.
     fn fault_of(&self, part: Part) -> Option<(Kind, u32)> {
         let (of, kind, since) = self.fault?;
         (of == part && self.ms >= since).then(|| (kind, self.ms - since))
@@ -342,7 +342,7 @@ impl Rig {
         }
     }
 
-    /// Whether a frame goes out now: every `period_ms`, or later, or not.
+    /// Returns whether a frame goes out now: every `period_ms`, or later, or not.
     fn sends(&mut self, part: Part, period_ms: u32) -> bool {
         let due = |every: u32| self.ms.is_multiple_of(every);
         match self.fault_of(part) {
@@ -459,12 +459,12 @@ impl Rig {
         Self::engaged_over(Line::Can, seed)
     }
 
-    /// The same, with the CNC on this line.
+    /// Returns the same, with the CNC on this line.
     pub fn engaged_over(line: Line, seed: u64) -> Self {
         Self { line, ..Self::new(seed) }.into_engaged()
     }
 
-    /// The same, with this as the largest offset of X, whose rapid traverse nobody has stated.
+    /// Returns the same, with this as the largest offset of X, whose rapid traverse nobody has stated.
     pub fn engaged_within(x_nm: i32, seed: u64) -> Self {
         let mut narrow = calibration();
         narrow.limits.max[0] = Nanometres(x_nm);
@@ -479,7 +479,7 @@ impl Rig {
         self
     }
 
-    /// What a CNC applies on X and Z, in nm: nothing where nothing is available.
+    /// Returns what a CNC applies on X and Z, in nm: nothing where nothing is available.
     pub fn applied_nm(&self) -> [i32; 2] {
         let [x, _, z] = self.last.offset.unwrap_or_default();
         [x.0, z.0]

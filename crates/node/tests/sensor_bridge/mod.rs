@@ -10,7 +10,7 @@ use trueup_core::{
 #[path = "../../src/node/example.rs"]
 mod example;
 
-/// A sensor of 1024 nm a code, and a PT100 on the third channel.
+/// Returns a sensor of 1024 nm a code, and a PT100 on the third channel.
 pub fn calibration() -> Calibration<'static> {
     let mut thermometers = [None; 8];
     thermometers[2] = Some(Thermometer::Pt100);

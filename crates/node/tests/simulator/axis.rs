@@ -24,7 +24,7 @@ pub const SPEED: i32 = 10_000;
 const TABLES_NM: [[i32; KNOTS]; 2] =
     [[0, 4_000, -6_000, 9_000, 1_000, -3_000], [0, -2_000, 8_000, -9_000, 500, 0]];
 
-/// A table as a calibration has it.
+/// Returns a table as a calibration has it.
 pub fn pitch(table: usize) -> Pitch<'static> {
     let points = TABLES_NM[table].map(|nm| (nm * 256).to_le_bytes());
     let forward: &'static [[u8; 4]] = Box::leak(Box::new(points));
@@ -64,7 +64,7 @@ impl Axis {
         };
     }
 
-    /// What is sent now, if it is time.
+    /// Returns what is sent now, if it is time.
     pub fn speak(&mut self, tick: u64) -> Option<Frame> {
         if !tick.is_multiple_of(PERIOD_MS) {
             return None;
@@ -90,7 +90,7 @@ impl Axis {
         (self.heard, self.heard_ms, self.moves) = (None, 0, false);
     }
 
-    /// What the screw does where the bridge takes the axis to be, in nm.
+    /// Returns what the screw does where the bridge takes the axis to be, in nm.
     pub fn error_nm(&self, table: usize) -> Option<f64> {
         let place = f64::from(self.heard?) / f64::from(STEP);
         let knot = (place.floor() as usize).min(KNOTS - 2);

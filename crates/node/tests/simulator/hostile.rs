@@ -37,7 +37,7 @@ fn seal(blob: &mut [u8]) {
     blob[end..].copy_from_slice(&crc.to_le_bytes());
 }
 
-/// A blob that is whole and has something wrong, or nothing.
+/// Returns a blob that is whole and has something wrong, or nothing.
 fn hostile<'s>(random: &mut Random, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'s mut [u8] {
     let seed = &seeds[random.below(seeds.len() as u32) as usize];
     slot[..seed.len()].copy_from_slice(seed);

@@ -32,7 +32,7 @@ pub const GROWTH_NM: f64 = 60_000.0;
 /// The law by temperature, in nm a kelvin.
 pub const NM_PER_KELVIN: i32 = 4_000;
 
-/// A sensor, then a temperature with a lag, then running time; and one of the two tables of X.
+/// Returns a sensor, then a temperature with a lag, then running time; and one of the two tables of X.
 pub fn calibration(table: usize) -> Calibration<'static> {
     let mut thermometers = [None; CHANNELS];
     // One count a kelvin.

@@ -332,7 +332,7 @@ impl World {
         }
     }
 
-    /// What of a frame arrives.
+    /// Returns what of a frame arrives.
     fn carry(&mut self, frame: Frame) -> Option<Frame> {
         let is_hit = self.chance(3);
         match self.fault {
@@ -428,7 +428,7 @@ impl World {
         self.before = Some(output);
     }
 
-    /// How long the fault has been there.
+    /// Returns how long the fault has been there.
     fn lasts_ms(&self) -> u32 {
         u32::try_from(self.seen.ticks - self.began).unwrap_or(u32::MAX)
     }

@@ -55,7 +55,7 @@ impl KnownSpindle {
     }
 }
 
-/// A lag of so many seconds, stepped every 100 ms.
+/// Returns a lag of so many seconds, stepped every 100 ms.
 pub fn per_step(tau_s: f64) -> SmoothingFactor {
     SmoothingFactor((-(-0.1 / tau_s).exp_m1() * 2_f64.powi(32)).round() as u32)
 }

@@ -17,7 +17,7 @@ use super::triangle::{Dependent, Solution, Triangle};
 
 /// A model of a column of measured values.
 pub trait Model {
-    /// The number of parameters.
+    /// Returns the number of parameters.
     fn parameters(&self) -> usize;
 
     /// The model's value for each row at these parameters; false where it has none (a negative
@@ -30,7 +30,7 @@ pub trait Model {
         central_differences(self, parameters, columns)
     }
 
-    /// The size of a change that matters in a parameter that is 0: for the step of the differences.
+    /// Returns the size of a change that matters in a parameter that is 0: for the step of the differences.
     fn typical(&self, _parameter: usize) -> f64 {
         1.0
     }
@@ -144,7 +144,7 @@ impl Fit {
         self.linear.as_ref().map_or(f64::INFINITY, |linear| linear.half_width(parameter))
     }
 
-    /// Each row's residual from the fit to all other rows, to first order; NaN where there is no
+    /// Returns each row's residual from the fit to all other rows, to first order; NaN where there is no
     /// measured value.
     #[must_use]
     pub fn left_out_residuals(&self) -> Vec<f64> {
@@ -236,7 +236,7 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
         Folded { model: self.model, measured: self.measured, parameters: start.to_vec(), space }
     }
 
-    /// The triangle of derivatives and residuals (measured minus model) at `parameters`; `None`
+    /// Returns the triangle of derivatives and residuals (measured minus model) at `parameters`; `None`
     /// where the model has no finite value.
     fn triangle(&self, parameters: &[f64]) -> Option<Triangle> {
         let mut space = self.space.borrow_mut();
@@ -259,7 +259,7 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
         Some(triangle)
     }
 
-    /// A few steps of Gauss and Newton from the minimum. The solver ends where the sum of squares
+    /// Returns a few steps of Gauss and Newton from the minimum. The solver ends where the sum of squares
     /// moves no more, which is half the digits that the parameters could have: there the sum is
     /// flat.
     fn polished(&self, mut parameters: Vec<f64>) -> Vec<f64> {

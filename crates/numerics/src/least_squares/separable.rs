@@ -11,22 +11,22 @@ use super::{
 
 /// A model with linear parameters.
 pub trait Separable {
-    /// The number of the parameters that are not linear, q.
+    /// Returns the number of the parameters that are not linear, q.
     fn nonlinear(&self) -> usize;
 
-    /// The number of those that are, c.
+    /// Returns the number of those that are, c.
     fn linear(&self) -> usize;
 
     /// f at q: a column for each linear parameter; false where there is no such q.
     fn basis(&self, q: &[f64], columns: &mut [Vec<f64>]) -> bool;
 
-    /// The size of a change that matters in a parameter that is 0, q first, then c.
+    /// Returns the size of a change that matters in a parameter that is 0, q first, then c.
     fn typical(&self, _parameter: usize) -> f64 {
         1.0
     }
 }
 
-/// The best c at `q`; `None` where there is no such q or the columns depend on each other.
+/// Returns the best c at `q`; `None` where there is no such q or the columns depend on each other.
 /// Rows whose measured value is NaN take no part.
 #[must_use]
 pub fn project(

@@ -102,12 +102,12 @@ impl Triangle {
         if column < row { 0.0 } else { self.rotated[row * (self.columns + 1) + column] }
     }
 
-    /// The length of what no combination of the columns reaches.
+    /// Returns the length of what no combination of the columns reaches.
     pub(super) fn rest(&self) -> f64 {
         self.residual_squares.sqrt()
     }
 
-    /// The coefficients of least squares.
+    /// Returns the coefficients of least squares.
     ///
     /// # Errors
     /// A column follows from those before it, to within 1e-11 of its own length: its coefficient
@@ -171,7 +171,7 @@ impl Solution {
         }
     }
 
-    /// The covariance of two coefficients.
+    /// Returns the covariance of two coefficients.
     #[must_use]
     pub fn covariance(&self, one: usize, other: usize) -> f64 {
         let n = self.coefficients.len();
@@ -179,7 +179,7 @@ impl Solution {
         self.variance() * rows.map(|(a, b)| a * b).sum::<f64>()
     }
 
-    /// The standard error of a coefficient.
+    /// Returns the standard error of a coefficient.
     #[must_use]
     pub fn standard_error(&self, coefficient: usize) -> f64 {
         self.covariance(coefficient, coefficient).sqrt()
@@ -212,7 +212,7 @@ impl Solution {
             .sum()
     }
 
-    /// The fitted value of a row.
+    /// Returns the fitted value of a row.
     #[must_use]
     pub fn at(&self, x: &[f64]) -> f64 {
         self.coefficients.iter().zip(x).map(|(coefficient, x)| coefficient * x).sum()

@@ -40,13 +40,13 @@ impl Between {
         1.0 - (self.line / self.nothing).powi(2)
     }
 
-    /// Whether these readings can tell at all.
+    /// Returns whether these readings can tell at all.
     #[must_use]
     pub fn can_tell(&self) -> bool {
         self.inner >= FEWEST_INNER
     }
 
-    /// Whether use between the places is doubted: the line could have foreseen them, and did not.
+    /// Returns whether use between the places is doubted: the line could have foreseen them, and did not.
     #[must_use]
     pub fn is_doubted(&self) -> bool {
         self.can_tell() && self.is_beyond_scatter && self.r_squared() < LEAST_R_SQUARED

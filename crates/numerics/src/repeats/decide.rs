@@ -59,20 +59,20 @@ pub struct Trial {
 }
 
 impl Trial {
-    /// Whether the places differ by more than their repeats.
+    /// Returns whether the places differ by more than their repeats.
     #[must_use]
     pub fn is_significant(&self) -> bool {
         self.chance < SIGNIFICANCE
     }
 
-    /// Whether every left-out block gains.
+    /// Returns whether every left-out block gains.
     #[must_use]
     pub fn gains(&self) -> bool {
         self.is_below_nothing
             && self.before.iter().zip(&self.after).all(|(before, after)| after < before)
     }
 
-    /// The root mean square of what is left out.
+    /// Returns the root mean square of what is left out.
     #[must_use]
     pub fn rms(&self) -> f64 {
         let squares = self.left_out.iter().filter(|left| !left.is_nan()).map(|left| left * left);
@@ -109,7 +109,7 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// The trial of a law; none where it was not tried.
+    /// Returns the trial of a law; none where it was not tried.
     #[must_use]
     pub fn trial(&self, law: Law) -> Option<&Trial> {
         self.trials.iter().find(|trial| trial.law == law)
@@ -149,14 +149,14 @@ pub fn decide(readings: &[Reading], aside: &[bool], places: usize, laws: &[Law])
     decision
 }
 
-/// What a law leaves of all readings: squares and degrees of freedom.
+/// Returns what a law leaves of all readings: squares and degrees of freedom.
 fn left_by(law: Law, used: &[(usize, Reading)], places: usize) -> (f64, f64) {
     let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
     let left = used.iter().map(|(_, it)| (it.value - table.at(it.place, it.side)).powi(2)).sum();
     (left, used.len() as f64 - table.constants as f64)
 }
 
-/// Whether a step takes away more than chance would: F of one value more.
+/// Returns whether a step takes away more than chance would: F of one value more.
 fn is_step(table: (f64, f64), step: (f64, f64)) -> bool {
     let (more, freedom) = (table.0 - step.0, step.1);
     if freedom < 1.0 || more <= ROUNDING * table.0 {
@@ -167,7 +167,7 @@ fn is_step(table: (f64, f64), step: (f64, f64)) -> bool {
         || FisherSnedecor::new(1.0, freedom).is_ok_and(|it| it.sf(f) < SIGNIFICANCE)
 }
 
-/// The block of each reading, how many there are, and whether they are sides.
+/// Returns the block of each reading, how many there are, and whether they are sides.
 fn blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
     let mut cycles: Vec<usize> = used.iter().map(|(_, it)| it.cycle).collect();
     cycles.sort_unstable();
@@ -183,7 +183,7 @@ fn blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
     (used.iter().map(|(_, it)| of(it)).collect(), count, false)
 }
 
-/// The pooled standard deviation of repeats: at one place from one side, else at one place.
+/// Returns the pooled standard deviation of repeats: at one place from one side, else at one place.
 fn scatter(used: &[(usize, Reading)], places: usize) -> Option<f64> {
     [Law::EachSide, Law::Table].into_iter().find_map(|law| {
         let table = Table::fit(law, places, used.iter().map(|(_, it)| it));
@@ -194,7 +194,7 @@ fn scatter(used: &[(usize, Reading)], places: usize) -> Option<f64> {
     })
 }
 
-/// A law on trial; none where it has as many values as there are readings.
+/// Returns a law on trial; none where it has as many values as there are readings.
 fn trial(
     law: Law,
     used: &[(usize, Reading)],
@@ -255,7 +255,7 @@ fn trial(
     })
 }
 
-/// The law to take.
+/// Returns the law to take.
 fn taken(trials: &[Trial]) -> Result<Law, Refusal> {
     let admitted = || trials.iter().filter(|trial| trial.is_significant() && trial.gains());
     let best = admitted().min_by(|a, b| a.rms().total_cmp(&b.rms()));
@@ -268,7 +268,7 @@ fn taken(trials: &[Trial]) -> Result<Law, Refusal> {
     Ok(simplest.map_or(best.law, |trial| trial.law))
 }
 
-/// Whether `own` is larger than `other` by more than one standard error of their paired squares; what is
+/// Returns whether `own` is larger than `other` by more than one standard error of their paired squares; what is
 /// NaN in either does not count.
 #[must_use]
 pub fn is_worse(own: &[f64], other: &[f64]) -> bool {

@@ -1,6 +1,6 @@
 //! How well places determine a table of equal steps that they do not stand on.
 
-/// The variance of the point of a table that is known least, in those of one reading, if each place of
+/// Returns the variance of the point of a table that is known least, in those of one reading, if each place of
 /// `at` (in the unit of `start` and `step`, any order) was read once and lines join the points. Points on
 /// which no place has a say are left out: infinite where what is left is not determined.
 ///

@@ -31,7 +31,7 @@ const NEIGHBOURS: usize = 3;
 /// errors in routine data.
 const LARGEST_SHARE: f64 = 0.1;
 
-/// Whether each reading is gross; `readings` in the order in which they were taken.
+/// Returns whether each reading is gross; `readings` in the order in which they were taken.
 #[must_use]
 pub fn gross(readings: &[Reading]) -> Vec<bool> {
     let none = vec![false; readings.len()];
@@ -55,7 +55,7 @@ pub fn gross(readings: &[Reading]) -> Vec<bool> {
     if count as f64 > (LARGEST_SHARE * readings.len() as f64).ceil() { none } else { found }
 }
 
-/// The rows of each place and side.
+/// Returns the rows of each place and side.
 fn by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
     let mut order: Vec<usize> = (0..readings.len()).collect();
     order.sort_by_key(|&row| (readings[row].place, readings[row].side, row));
@@ -66,7 +66,7 @@ fn by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
     order.chunk_by(same).map(<[usize]>::to_vec).collect()
 }
 
-/// The scatter of one reading among its repeats; none where nothing scatters or nothing repeats.
+/// Returns the scatter of one reading among its repeats; none where nothing scatters or nothing repeats.
 fn scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f64> {
     /// Pairs of the first so many repeats of a place are enough of them.
     const MOST: usize = 30;

@@ -11,7 +11,7 @@ const POWER: f64 = 0.95;
 /// Nobody measures more cycles than that.
 const MOST_CYCLES: usize = 100;
 
-/// The fewest cycles, at least 2, over `places` places after which an error of the root mean square `size`
+/// Returns the fewest cycles, at least 2, over `places` places after which an error of the root mean square `size`
 /// is found with 95 %, where one reading scatters by `scatter` (in the same unit). None: not within 100.
 ///
 /// ```
@@ -24,7 +24,7 @@ pub fn cycles_for(size: f64, scatter: f64, places: usize) -> Option<usize> {
     (2..=MOST_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
 }
 
-/// The chance that so many cycles show the error, 0…1.
+/// Returns the chance that so many cycles show the error, 0…1.
 pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f64 {
     let more = places.saturating_sub(1) as f64;
     let freedom = (places * cycles.saturating_sub(1)) as f64;

@@ -13,7 +13,7 @@ pub struct Reading {
     pub value: f64,
 }
 
-/// The cycle of each stop, a place and a side, in the order in which they came: the j-th arrival at a
+/// Returns the cycle of each stop, a place and a side, in the order in which they came: the j-th arrival at a
 /// place from a side is of cycle j, from 0.
 ///
 /// ```
@@ -39,7 +39,7 @@ pub fn arrivals(stops: &[(usize, usize)]) -> Vec<usize> {
 /// meant to be the same is nearer by far, and a tenth lies between.
 const SAME_PLACE: f64 = 0.1;
 
-/// The places that `positions` are meant to be, rising, and the place of each position. `step` is the
+/// Returns the places that `positions` are meant to be, rising, and the place of each position. `step` is the
 /// smallest that was meant, in the same unit; 0: only equal positions are one place.
 #[must_use]
 pub fn places(positions: &[f64], step: f64) -> (Vec<f64>, Vec<usize>) {

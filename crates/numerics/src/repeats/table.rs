@@ -54,14 +54,14 @@ impl Table {
         Self { law, values: [values.clone(), values], step: width, constants }
     }
 
-    /// What it says at a place from a side; NaN where it has no value.
+    /// Returns what it says at a place from a side; NaN where it has no value.
     #[must_use]
     pub fn at(&self, place: usize, side: usize) -> f64 {
         self.values[side][place] + if side == 1 { self.step } else { 0.0 }
     }
 }
 
-/// The step by least squares beside a value for each place: the places' own differences, each with the
+/// Returns the step by least squares beside a value for each place: the places' own differences, each with the
 /// weight n₀·n₁/(n₀ + n₁). None where no place has both sides.
 fn step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
     let (mut total, mut weights) = (0.0, 0.0);

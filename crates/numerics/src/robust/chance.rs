@@ -24,7 +24,7 @@ const TAIL: usize = 20;
 /// Of few readings one in so many: what is nearer is no tail.
 const IN_TAIL: usize = 4;
 
-/// The chance that noise like `rest` has readings as far away as `far`: magnitudes, `step` apart at least
+/// Returns the chance that noise like `rest` has readings as far away as `far`: magnitudes, `step` apart at least
 /// where they are written. 1 where there is no rest to compare with.
 #[must_use]
 pub fn chance_of_noise(rest: &[f64], far: &[f64], step: f64) -> f64 {
@@ -54,7 +54,7 @@ pub fn chance_of_noise(rest: &[f64], far: &[f64], step: f64) -> f64 {
     (far.len() as f64 * chances.fold(1.0, f64::min)).min(1.0)
 }
 
-/// The chance of at least `count` where `mean` are expected (Poisson).
+/// Returns the chance of at least `count` where `mean` are expected (Poisson).
 #[must_use]
 pub fn chance_of_as_many(count: usize, mean: f64) -> f64 {
     // From the first term that counts on: one less the others would be rounding.

@@ -68,7 +68,7 @@ pub fn in_relation(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
     rows.iter().map(outlier).filter(|outlier| outlier.scales > most).collect()
 }
 
-/// The coefficients through the small sample that leaves the smallest median residual.
+/// Returns the coefficients through the small sample that leaves the smallest median residual.
 fn best_sample(x: &[&[f64]], y: &[f64], rows: &[usize]) -> Option<Vec<f64>> {
     let columns = x.len();
     let every = rows.len().div_ceil(JUDGES);

@@ -14,7 +14,7 @@ const FEWEST: usize = 12;
 /// A larger share of the rows is not a few readings.
 pub(super) const LARGEST_SHARE: f64 = 0.08;
 
-/// Whether each row is a gross error. `series` tells which rows are neighbours: those of one number;
+/// Returns whether each row is a gross error. `series` tells which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
 #[must_use]
 pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64) -> Vec<bool> {
@@ -65,7 +65,7 @@ pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64)
     found
 }
 
-/// The value that half of `values`, at least one, are below; their order changes.
+/// Returns the value that half of `values`, at least one, are below; their order changes.
 fn in_the_middle(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(values.len() / 2, f64::total_cmp).1
 }

@@ -71,7 +71,7 @@ fn that_come_back(found: Vec<Outlier>, rows: &[usize], time: &[f64], y: &[f64]) 
     found.chunk_by(follows).filter(is_kept).flatten().copied().collect()
 }
 
-/// Whether a row at an end is far from the parabola through its three neighbours as well.
+/// Returns whether a row at an end is far from the parabola through its three neighbours as well.
 fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64]) -> bool {
     let at = time[outlier.row];
     let (mut value, mut squares) = (0.0, 1.0);

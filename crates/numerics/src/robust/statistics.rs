@@ -19,7 +19,7 @@ pub struct Outlier {
 }
 
 impl Outlier {
-    /// The reason for a list of rows that were set aside, y in µm.
+    /// Returns the reason for a list of rows that were set aside, y in µm.
     #[must_use]
     pub fn reason(&self) -> String {
         let Self { distance, scales, .. } = self;
@@ -29,14 +29,14 @@ impl Outlier {
     }
 }
 
-/// How many scales away a row of `rows` is set aside.
+/// Returns how many scales away a row of `rows` is set aside.
 #[must_use]
 pub fn cutoff(rows: usize, fitted: usize) -> f64 {
     let known = 0.37 * rows.saturating_sub(fitted).max(1) as f64;
     t_quantile(1.0 - 0.005 / rows.max(1) as f64, known).max(GROSS)
 }
 
-/// The smallest difference of two of `values` that differ by more than rounding; 0 if none do.
+/// Returns the smallest difference of two of `values` that differ by more than rounding; 0 if none do.
 pub(super) fn finest(values: impl Iterator<Item = f64>) -> f64 {
     let mut rising: Vec<f64> = values.collect();
     rising.sort_unstable_by(f64::total_cmp);
@@ -45,7 +45,7 @@ pub(super) fn finest(values: impl Iterator<Item = f64>) -> f64 {
     steps.min_by(f64::total_cmp).unwrap_or(0.0)
 }
 
-/// The step in which a series moves: the median difference of two values that follow each other
+/// Returns the step in which a series moves: the median difference of two values that follow each other
 /// and differ; 0 if all are equal. Of values in fine steps it is about the scatter, or less.
 pub(super) fn resolution(values: impl Iterator<Item = f64>) -> f64 {
     let mut steps = Vec::new();
@@ -60,7 +60,7 @@ pub(super) fn resolution(values: impl Iterator<Item = f64>) -> f64 {
     if steps.is_empty() { 0.0 } else { median(&mut steps) }
 }
 
-/// The median; NaN of nothing. Reorders `values`.
+/// Returns the median; NaN of nothing. Reorders `values`.
 pub fn median(values: &mut [f64]) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() {
@@ -74,7 +74,7 @@ pub fn median(values: &mut [f64]) -> f64 {
     lower + (upper - lower) / 2.0
 }
 
-/// The scale of residuals about their model: 1.4826 times the median magnitude.
+/// Returns the scale of residuals about their model: 1.4826 times the median magnitude.
 pub(super) fn scale(residuals: impl Iterator<Item = f64>) -> f64 {
     let mut magnitudes: Vec<f64> =
         residuals.filter(|residual| !residual.is_nan()).map(f64::abs).collect();

@@ -25,7 +25,7 @@ pub(super) trait Dialect {
     fn repeat(&mut self, times: u32);
     /// Ends it.
     fn repeated(&mut self);
-    /// The text as a whole.
+    /// Returns the text as a whole.
     fn end(&mut self) -> String;
 }
 

@@ -164,7 +164,7 @@ impl Dialect for Text {
     }
 }
 
-/// The characters of a comment that every FANUC takes: a colon is another letter O, a semicolon ends the block.
+/// Returns the characters of a comment that every FANUC takes: a colon is another letter O, a semicolon ends the block.
 fn comment(text: &str) -> String {
     let text = plain(text).to_uppercase().replace(':', " -").replace(';', ",");
     text.chars().filter(|c| !"<>'\"%&!^`{}|~_".contains(*c)).collect()

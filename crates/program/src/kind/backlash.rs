@@ -162,12 +162,12 @@ fn plan(machine: &Machine, travel: &Travel, room: Option<Room>, options: &Option
     }
 }
 
-/// Which way the axis leaves the dial: +1, −1. The tool axis leaves it by retracting.
+/// Returns which way the axis leaves the dial: +1, −1. The tool axis leaves it by retracting.
 fn away(travel: &Travel) -> f64 {
     travel.retract.unwrap_or(1.0)
 }
 
-/// How far the axis goes on the side of the dial, in mm.
+/// Returns how far the axis goes on the side of the dial, in mm.
 fn beyond_mm(travel: &Travel, room: Option<Room>, options: &Options) -> f64 {
     let over_mm = travel.over_travel_mm();
     let is_pressed = gauge(options) == Gauge::Dial && room.is_none();

@@ -40,7 +40,7 @@ fn all_that_fit(
     if plans.is_empty() { Err(Refused(notes.join("; "))) } else { Ok((plans, notes)) }
 }
 
-/// A move of one axis at a feed.
+/// Returns a move of one axis at a feed.
 fn go(travel: &Travel, mm: f64, feed_mm_per_min: f64) -> Step {
     Step::Move { to_mm: travel.at(mm), feed_mm_per_min }
 }
@@ -88,12 +88,12 @@ fn capital(axis: LinearAxis) -> String {
     axis.name().to_uppercase()
 }
 
-/// The column of the measured error of an axis.
+/// Returns the column of the measured error of an axis.
 fn measured(axis: LinearAxis) -> String {
     format!("measured_d{}_um", axis.name())
 }
 
-/// The column of the temperature that an axis's law goes by.
+/// Returns the column of the temperature that an axis's law goes by.
 fn temperature(machine: &Machine, axis: LinearAxis) -> String {
     let thermal = machine.axes[axis.index()].thermal.as_ref();
     thermal

@@ -20,8 +20,8 @@ pub struct Stretch {
 /// How long a reading takes, in s, where there is so much time.
 const DWELL_S: f64 = 5.0;
 
-/// The plan of `stretches`, read every `every_s` seconds (above 0); `inputs` are the columns to be filled in beside the
-/// growth, and `why` is what it is run for, a sentence.
+/// Returns the plan of `stretches`, read every `every_s` seconds (above 0); `inputs` are the columns to be filled in
+/// beside the growth, and `why` is what it is run for, a sentence.
 #[must_use]
 pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str) -> Plan {
     let dwell_s = DWELL_S.min(0.5 * every_s);

@@ -17,7 +17,7 @@ pub struct Draw {
 const SURELY_ALONG: f64 = 0.02;
 
 impl Draw {
-    /// A mill, and nothing asked for.
+    /// Returns a mill, and nothing asked for.
     pub fn plain() -> Self {
         let text =
             "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[axis.x]\ntravel_mm = [0.0, 800.0]\n";
@@ -25,7 +25,7 @@ impl Draw {
         Self { number: 0, machine, options: Options::default() }
     }
 
-    /// Which way retracts a vertical or tool axis.
+    /// Returns which way retracts a vertical or tool axis.
     pub fn retract(&self, axis: LinearAxis) -> Option<f64> {
         let along = self.machine.tool_direction[axis.index()];
         match along {
@@ -56,12 +56,12 @@ impl Draw {
         if low.is_finite() { [low, high] } else { [-100.0, 250.0] }
     }
 
-    /// One of them, by the number.
+    /// Returns one of them, by the number.
     pub fn axis(&self) -> LinearAxis {
         LinearAxis::ALL[(self.number % 3) as usize]
     }
 
-    /// Whether the axis has room for any program.
+    /// Returns whether the axis has room for any program.
     fn has_room(&self, axis: LinearAxis) -> bool {
         let known = self.machine.axes[axis.index()].travel_mm;
         let range = self.options.range_mm[axis.index()];
@@ -142,7 +142,7 @@ impl Draws {
         all[(self.share() * all.len() as f64) as usize]
     }
 
-    /// A length of which small ones are as frequent as large ones, in mm, with odd digits or without.
+    /// Returns a length of which small ones are as frequent as large ones, in mm, with odd digits or without.
     fn length_mm(&mut self) -> f64 {
         let length = 10_f64.powf(self.between(0.3, 4.2));
         if self.chance(0.5) { length.round().max(1.0) } else { length }

@@ -29,7 +29,7 @@ pub enum Event {
     End(bool),
 }
 
-/// The words of a block: letter and number, in their order.
+/// Returns the words of a block: letter and number, in their order.
 pub fn words(block: &str) -> Result<Vec<(char, f64)>, String> {
     let mut found = Vec::new();
     for word in block.split_whitespace() {

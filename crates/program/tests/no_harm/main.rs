@@ -51,7 +51,7 @@ fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
     }
 }
 
-/// The axes that a plan's name names.
+/// Returns the axes that a plan's name names.
 fn named(plan: &Plan) -> Vec<LinearAxis> {
     let last = plan.name.rsplit('-').next().unwrap_or_default();
     let is_axes = ["x", "y", "z", "xy", "xz", "yz"].contains(&last);

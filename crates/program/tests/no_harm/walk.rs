@@ -23,7 +23,7 @@ pub struct Limits {
 const ROUNDING_MM: f64 = 0.000_51;
 
 impl Limits {
-    /// The rules of a draw, for a program that names these axes.
+    /// Returns the rules of a draw, for a program that names these axes.
     pub fn of(draw: &Draw, axes: &[LinearAxis]) -> Self {
         let mut allowed_mm = [None; 3];
         for axis in axes {

@@ -151,18 +151,18 @@ fn growth(state: &State, theme: Theme) -> Line<'static> {
     Line::from(spans)
 }
 
-/// What is wrong with the gauge.
+/// Returns what is wrong with the gauge.
 fn gauge_trouble(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let trouble = state.gauge.trouble.iter();
     trouble.flat_map(|it| wrapped(it, width, theme.bad())).collect()
 }
 
-/// An age in words.
+/// Returns an age in words.
 fn ago(age_s: f64) -> String {
     if age_s < 120.0 { format!("{age_s:.0} s ago") } else { format!("{:.0} min ago", age_s / 60.0) }
 }
 
-/// The offsets, with the share of each cause or without.
+/// Returns the offsets, with the share of each cause or without.
 pub fn offsets(state: &State, theme: Theme, with_shares: bool) -> Vec<Line<'static>> {
     let cell = |um: f64| match um.is_nan() {
         true => format!("{:>COLUMN$}", "?"),
@@ -253,7 +253,7 @@ fn link(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     wrapped(&text, width, if state.is_sound() { Style::new() } else { theme.bad() })
 }
 
-/// What is wrong, each with what to do, wrapped between words.
+/// Returns what is wrong, each with what to do, wrapped between words.
 pub fn troubles(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let troubles = state.troubles();
     if troubles.is_empty() {
@@ -275,7 +275,7 @@ pub fn troubles(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>>
     }
 }
 
-/// A text in lines of this width, broken between words.
+/// Returns a text in lines of this width, broken between words.
 pub fn wrapped(text: &str, width: usize, style: Style) -> Vec<Line<'static>> {
     // Two spaces between words stay two.
     let words = text.split_inclusive(' ').fold(Vec::<String>::new(), |mut words, word| {

@@ -26,7 +26,7 @@ const MACHINE: &str = "[machine]\nname = \"lathe 7\"\nkind = \"3-axis\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0\num_per_count = 0.0152587890625\n\
     [axis.x.thermal]\nsensor = \"temp_coil_c\"\nreference_c = 20.0\nconstant_um_per_c = 0.5\nmode = \"constant\"\n";
 
-/// What a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if wanted.
+/// Returns what a screen knows after `ms` of a bridge whose sensor gives `code`, engaged if wanted.
 fn watched(ms: u32, code: u16, engage: bool) -> State {
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("right");
     let compiled = compile(&machine).expect("it fits");

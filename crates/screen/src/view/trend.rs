@@ -81,7 +81,7 @@ fn length(seconds: f64) -> String {
     if seconds < 60.0 { format!("{seconds:.0} s") } else { format!("{:.1} min", seconds / 60.0) }
 }
 
-/// A moment before now.
+/// Returns a moment before now.
 fn tick(at_s: f64) -> String {
     match at_s {
         0.0 => "now".into(),
@@ -90,8 +90,8 @@ fn tick(at_s: f64) -> String {
     }
 }
 
-/// The series that a gauge of this quantity is compared with, and the sign of its readings there: an offset is what
-/// takes an error away.
+/// Returns the series that a gauge of this quantity is compared with, and the sign of its readings there: an offset is
+/// what takes an error away.
 const fn marked_series(quantity: Quantity) -> (usize, f64) {
     match quantity {
         Quantity::Elongation => (0, 1.0),

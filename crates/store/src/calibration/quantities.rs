@@ -279,7 +279,7 @@ impl<'b> Field<'b> for Option<LinearAxis> {
     }
 }
 
-/// The axis with this number.
+/// Returns the axis with this number.
 pub(super) const fn linear_axis(number: u32) -> Option<LinearAxis> {
     match number {
         0 => Some(LinearAxis::X),

@@ -38,7 +38,7 @@ use trueup_core::{
 
 const POINTS: [[u8; 4]; 3] = [[1, 0, 0, 0], [2, 0, 0, 0], [3, 0, 0, 0]];
 
-/// A term of each effect.
+/// Returns a term of each effect.
 fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS] {
     let scaled = Scaled { mantissa: -7, shift: 11 };
     let [x, y, z] = LinearAxis::ALL.map(Target::Axis);
@@ -71,7 +71,7 @@ fn terms<'a>(pitch: Pitch<'a>, curve: Curve<'a>) -> [Option<Term<'a>>; MAX_TERMS
     terms
 }
 
-/// A calibration with something in every field.
+/// Returns a calibration with something in every field.
 pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     let piece = Piece {
         start: Temperature(94_208_000),
@@ -165,7 +165,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     })
 }
 
-/// A calibration with limits and nothing else.
+/// Returns a calibration with limits and nothing else.
 pub(crate) fn with_smallest<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     with_sample(|sample| {
         check(Calibration {
@@ -182,7 +182,7 @@ pub(crate) fn with_smallest<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
     })
 }
 
-/// A table of these points, from 0 on.
+/// Returns a table of these points, from 0 on.
 pub(crate) fn pitch_of(points: &[[u8; 4]]) -> Pitch<'_> {
     Pitch { start: Position(0), step: Interval::new(1_000), forward: points, reverse: None }
 }

@@ -97,7 +97,7 @@ impl<'o> Writer<'o> {
         }
     }
 
-    /// A reference to a table, and the table. Gives where that begins.
+    /// Returns a reference to a table, and the table. Gives where that begins.
     pub fn table<const N: usize>(&mut self, records: &[[u8; N]]) -> usize {
         let start = self.tables_end;
         // A place or a number beyond 16 bits is beyond the largest blob, which is refused.
@@ -154,7 +154,7 @@ impl<'b> Reader<'b> {
         None
     }
 
-    /// A cap in the four bytes that were read last, at most `most`.
+    /// Returns a cap in the four bytes that were read last, at most `most`.
     #[inline(never)]
     pub fn cap(&mut self, found: u8, most: u8) -> u8 {
         if found > most {
@@ -169,7 +169,7 @@ impl<'b> Reader<'b> {
         self.fault.map_or(Ok(read), Err)
     }
 
-    /// The next four bytes. The fixed part is there: its length was checked.
+    /// Returns the next four bytes. The fixed part is there: its length was checked.
     #[inline(never)]
     pub fn bytes(&mut self) -> [u8; 4] {
         let rest = self.blob.get(self.at..).unwrap_or_default();
@@ -177,17 +177,17 @@ impl<'b> Reader<'b> {
         rest.first_chunk().copied().unwrap_or_default()
     }
 
-    /// A byte in the head of the present term.
+    /// Returns a byte in the head of the present term.
     pub fn term_byte(&self, number: usize) -> u8 {
         self.blob.get(self.term.saturating_add(number)).copied().unwrap_or_default()
     }
 
-    /// The table that the next reference names.
+    /// Returns the table that the next reference names.
     pub fn table<const N: usize>(&mut self) -> &'b [[u8; N]] {
         self.table_of(N).as_chunks().0
     }
 
-    /// The bytes of the table of records of `size` bytes that the next reference names.
+    /// Returns the bytes of the table of records of `size` bytes that the next reference names.
     #[inline(never)]
     fn table_of(&mut self, size: usize) -> &'b [u8] {
         let offset = self.at;

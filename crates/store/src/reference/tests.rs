@@ -19,7 +19,7 @@ pub(super) fn reference(n: u32) -> Reference {
     }
 }
 
-/// The same, in force.
+/// Returns the same, in force.
 pub(super) fn held(n: u32) -> Standing {
     Standing { reference: reference(n), ..Standing::default() }
 }
@@ -243,7 +243,7 @@ fn any_bytes_at_all_can_be_opened_and_written_on() {
     }
 }
 
-/// A start, then a `Zero`, as a board does it: room is made, a reference is appended.
+/// Returns a start, then a `Zero`, as a board does it: room is made, a reference is appended.
 fn live(flash: &Flash, fuel: usize, n: u32) -> (Flash, bool) {
     let mut log = open(flash, OURS).0;
     log.log.flash.fuel = fuel;

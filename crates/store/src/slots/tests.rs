@@ -22,7 +22,7 @@ fn open(flash: &Flash, base: u32) -> (Slots<Flash>, Found) {
     Slots::open(flash.powered(), Some(base), &mut vec![0; MAX_SIZE])
 }
 
-/// The bytes of the one that counts.
+/// Returns the bytes of the one that counts.
 fn newest(flash: &Flash) -> Option<Vec<u8>> {
     let Stored { address, length, .. } = open(flash, IMAGE).1.newest?;
     Some(flash.bytes[address as usize..][..length].to_vec())
@@ -187,7 +187,7 @@ fn an_image_with_the_examples_constants_wins_over_nothing() {
     assert_eq!(newest(&flash), Some(blob(1)));
 }
 
-/// A calibration of this many words at least, that no other number has.
+/// Returns a calibration of this many words at least, that no other number has.
 fn blob_of(words: usize, number: u32) -> Vec<u8> {
     calibration::tests::with_smallest(|calibration| {
         let points: Vec<[u8; 4]> = (0..words as u32).map(|n| (n ^ number).to_le_bytes()).collect();
@@ -198,7 +198,7 @@ fn blob_of(words: usize, number: u32) -> Vec<u8> {
     })
 }
 
-/// A start, then a load, as a board does it.
+/// Returns a start, then a load, as a board does it.
 fn live(flash: &Flash, fuel: usize, blob: &[u8]) -> (Flash, bool) {
     let (mut slots, _) = open(flash, IMAGE);
     slots.log.flash.fuel = fuel;
@@ -206,7 +206,7 @@ fn live(flash: &Flash, fuel: usize, blob: &[u8]) -> (Flash, bool) {
     (slots.log.flash, is_stored)
 }
 
-/// What a life burns: up to the end of making room, and in all.
+/// Returns what a life burns: up to the end of making room, and in all.
 fn burnt(flash: &Flash, blob: &[u8]) -> [usize; 2] {
     const FUEL: usize = usize::MAX / 2;
     let (mut slots, _) = open(flash, IMAGE);

@@ -228,7 +228,7 @@ impl AxisBench {
         bench
     }
 
-    /// What the machine file says of each row.
+    /// Returns what the machine file says of each row.
     fn believe(&self, table: RunTable) -> Run {
         let column = |name: String| table.column(&name).unwrap_or_default().to_vec();
         let position_mm = column(format!("{}_mm", AXES[self.error]));
@@ -252,7 +252,7 @@ impl AxisBench {
         Run { table, believed_um }
     }
 
-    /// The machine file that is right but for the hidden effect.
+    /// Returns the machine file that is right but for the hidden effect.
     pub(super) fn machine(&self) -> String {
         let name = AXES[self.error];
         let mut text = "[machine]\nname = \"challenge\"\nkind = \"3-axis\"\n".to_string();

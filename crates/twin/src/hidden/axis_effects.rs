@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{axes::NAMES as AXES, noise::Stream};
 
-/// The shape of `cause` on `bench`; `None` where it is only noise.
+/// Returns the shape of `cause` on `bench`; `None` where it is only noise.
 pub(super) fn shape(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
     let runs = &bench.runs[..];
     let mm = |axis: usize| format!("{}_mm", AXES[axis]);
@@ -80,7 +80,7 @@ fn along(bench: &AxisBench, law: &dyn Fn(f64, f64) -> f64) -> Vec<Vec<f64>> {
     })
 }
 
-/// An uneven scale or screw, with a table for each direction; `None` where the path has no even targets.
+/// Returns an uneven scale or screw, with a table for each direction; `None` where the path has no even targets.
 fn pitch_error(bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
     let (start_mm, step_mm, count) = bench.grid?;
     let forward = walk(count, 1.0, stream);
@@ -101,7 +101,7 @@ fn pitch_error(bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
     })
 }
 
-/// An error that repeats with each turn or graduation, with its second harmonic.
+/// Returns an error that repeats with each turn or graduation, with its second harmonic.
 fn pitch_periodic(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let length_mm = bench.travel_mm[1] - bench.travel_mm[0];
     let period_mm = stream.log_uniform(2.0, 20.0_f64.min(length_mm / 6.0));
@@ -127,7 +127,7 @@ fn pitch_periodic(bench: &AxisBench, stream: &mut Stream) -> Shape {
     }
 }
 
-/// An axis that tilts along its way: in proportion to the position, or by a curve.
+/// Returns an axis that tilts along its way: in proportion to the position, or by a curve.
 fn angular_error(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let lever_zero_mm = if stream.chance(0.5) { 0.0 } else { stream.uniform(0.0, 400.0).round() };
     let origin = ("origin_mm", lever_zero_mm);
@@ -178,7 +178,7 @@ fn by_feed(bench: &AxisBench, stream: &mut Stream) -> Shape {
     }
 }
 
-/// What the axis's heat does otherwise than believed.
+/// Returns what the axis's heat does otherwise than believed.
 fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shape> {
     let law = bench.thermal.as_ref()?;
     let position = format!("{}_mm", AXES[bench.error]);
@@ -235,7 +235,7 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
     Some(Shape { column: Some("temp_screw_c".into()), ..shape })
 }
 
-/// A smooth curve over the main axis, as knots and control points, whose best straight line over the
+/// Returns a smooth curve over the main axis, as knots and control points, whose best straight line over the
 /// training rows is 0: a slope would be another cause.
 fn bent(bench: &AxisBench, stream: &mut Stream) -> (Vec<f64>, Vec<f64>) {
     let [low, high] = bench.travel_mm;
@@ -255,7 +255,7 @@ fn bent(bench: &AxisBench, stream: &mut Stream) -> (Vec<f64>, Vec<f64>) {
     (knots, control)
 }
 
-/// The tilt `urad` at a position of the main axis, times the lever along the other one, which is 0
+/// Returns the tilt `urad` at a position of the main axis, times the lever along the other one, which is 0
 /// at `lever_zero_mm`.
 fn tilted(
     cause: Hidden,
@@ -284,7 +284,7 @@ fn tilt_table(knots: &[f64], controls: &[f64], factor: f64) -> Named {
     }
 }
 
-/// A screw or a scale grows with its temperature, which follows its thermometer late or at once, and
+/// Returns a screw or a scale grows with its temperature, which follows its thermometer late or at once, and
 /// the machine file says nothing of it. What is warm is longer: c is never negative.
 fn expansion(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let tau_s = if stream.chance(0.33) { 0.0 } else { stream.log_uniform(100.0, 2500.0).round() };
@@ -311,7 +311,7 @@ fn expansion(bench: &AxisBench, stream: &mut Stream) -> Shape {
     }
 }
 
-/// The instrument's own error: periodic in the inverse of its reading, as that of a triangulating
+/// Returns the instrument's own error: periodic in the inverse of its reading, as that of a triangulating
 /// laser is, so no pitch of the axis explains it.
 fn chirp(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let length_mm = bench.travel_mm[1] - bench.travel_mm[0];

@@ -26,14 +26,14 @@ macro_rules! causes {
             /// All of them.
             pub const ALL: &'static [Self] = &[$(Self::$variant),+];
 
-            /// The name in the table of causes; names that are not there begin with `clean` or
+            /// Returns the name in the table of causes; names that are not there begin with `clean` or
             /// `unnamed`.
             #[must_use]
             pub fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name,)+ }
             }
 
-            /// The name by which a diagnosis should call it: that in the table of causes, which
+            /// Returns the name by which a diagnosis should call it: that in the table of causes, which
             /// `unnamed-abbe` was given after its draws were.
             #[must_use]
             pub fn answer(self) -> &'static str {
@@ -44,7 +44,7 @@ macro_rules! causes {
                 }
             }
 
-            /// The columns on which an effect without a name depends.
+            /// Returns the columns on which an effect without a name depends.
             #[must_use]
             pub fn unnamed_inputs(self) -> &'static [&'static str] {
                 match self {
@@ -53,13 +53,13 @@ macro_rules! causes {
                 }
             }
 
-            /// What a diagnosis should make of it.
+            /// Returns what a diagnosis should make of it.
             #[must_use]
             pub fn expected(self) -> Expected {
                 match self { $(Self::$variant => Expected::$expected,)+ }
             }
 
-            /// The bases in which it can be told from all others.
+            /// Returns the bases in which it can be told from all others.
             pub(super) fn bases(self) -> &'static [Base] {
                 match self { $(Self::$variant => &[$(Base::$base),+],)+ }
             }

@@ -110,7 +110,7 @@ impl Bench {
         Self { source, max_rpm, late, runs }
     }
 
-    /// The machine file that is right but for the hidden effect.
+    /// Returns the machine file that is right but for the hidden effect.
     pub(super) fn machine(&self) -> String {
         let head = "[machine]\nname = \"challenge\"\nkind = \"3-axis\"\n\n[spindle]\n";
         match &self.source {
@@ -228,7 +228,7 @@ impl Node {
     }
 }
 
-/// The columns of a run but for those that depend on what is believed; beside them, not to be
+/// Returns the columns of a run but for those that depend on what is believed; beside them, not to be
 /// written, `growth_um`: what a sensor in the nose would see.
 fn simulate(
     config: &SpindleConfig,
@@ -340,7 +340,7 @@ fn coolant(tables: &mut [RunTable], stream: &mut Stream) {
     }
 }
 
-/// The rows `from..to` as a table of their own.
+/// Returns the rows `from..to` as a table of their own.
 fn cut(whole: &RunTable, from: usize, to: usize) -> RunTable {
     let mut part = RunTable::new();
     for name in whole.names() {
@@ -350,7 +350,7 @@ fn cut(whole: &RunTable, from: usize, to: usize) -> RunTable {
     part
 }
 
-/// The run as it is written, and what the machine file says of it.
+/// Returns the run as it is written, and what the machine file says of it.
 fn believe(source: &ElongationSource, table: RunTable) -> Run {
     let column = |name: &str| table.column(name).unwrap_or_default().to_vec();
     let (time_s, growth_um) = (column("time_s"), column("growth_um"));

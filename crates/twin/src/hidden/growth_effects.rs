@@ -15,7 +15,7 @@ fn on_believed(runs: &[Run], law: impl Fn(f64) -> f64) -> Vec<Vec<f64>> {
     on_each(runs, |run| run.believed_um.iter().map(|&p| law(p)).collect())
 }
 
-/// The shape of `cause` on `bench`; `None` where it is only noise.
+/// Returns the shape of `cause` on `bench`; `None` where it is only noise.
 pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option<Shape> {
     let runs = &bench.runs[..];
     let first = &runs[0];
@@ -108,7 +108,7 @@ pub(super) fn shape(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Option
     })
 }
 
-/// A sensor whose range ends within the growth of the training and of the hold-out.
+/// Returns a sensor whose range ends within the growth of the training and of the hold-out.
 fn saturation(runs: &[Run], stream: &mut Stream) -> Shape {
     let cause = Hidden::SensorSaturation;
     let training = &runs[..runs.len() - 1];
@@ -137,7 +137,7 @@ fn growth_rate(bench: &Bench, stream: &mut Stream) -> Option<Shape> {
     Some(fixed(Hidden::GrowthRate, vec![("time_constant_s", tau_s)], um))
 }
 
-/// A reference instrument whose error repeats over its range.
+/// Returns a reference instrument whose error repeats over its range.
 fn instrument(runs: &[Run], stream: &mut Stream) -> Shape {
     let cause = Hidden::ReferenceInstrument;
     let training = &runs[..runs.len() - 1];
@@ -160,7 +160,7 @@ fn instrument(runs: &[Run], stream: &mut Stream) -> Shape {
     }
 }
 
-/// The shaft bows under its unbalance, and a bowed shaft stands shorter or, as its bearings' balls are
+/// Returns the shaft bows under its unbalance, and a bowed shaft stands shorter or, as its bearings' balls are
 /// forced to one side, further out. The part of the bow that turns with the unbalance is, by the
 /// response of a rotor with damping ζ,
 ///
@@ -193,7 +193,7 @@ fn critical_speed(bench: &Bench, stream: &mut Stream) -> Shape {
     }
 }
 
-/// What the coolant does by its pressure, or while it is on.
+/// Returns what the coolant does by its pressure, or while it is on.
 fn on_coolant(runs: &[Run]) -> Shape {
     let has_pressure = !runs[0].column(COOLANT_PRESSURE).is_empty();
     let column = if has_pressure { COOLANT_PRESSURE } else { COOLANT_SWITCH };
@@ -233,7 +233,7 @@ fn by_column(cause: Hidden, runs: &[Run], column: &'static str, lag_s: f64) -> S
     }
 }
 
-/// A lag where there was none, or another one while it falls.
+/// Returns a lag where there was none, or another one while it falls.
 fn other_lag(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Shape {
     let runs = &bench.runs[..];
     let other = stream.uniform(1.7, 3.0);
@@ -269,7 +269,7 @@ fn other_lag(cause: Hidden, bench: &Bench, stream: &mut Stream) -> Shape {
     }
 }
 
-/// A part of the machine that warms up more slowly than what is modelled.
+/// Returns a part of the machine that warms up more slowly than what is modelled.
 fn slow_mode(bench: &Bench, duration_s: f64, stream: &mut Stream) -> Shape {
     let runs = &bench.runs[..];
     if let ElongationSource::Temperature { reference_c, .. } = bench.source {
@@ -312,7 +312,7 @@ fn slow_mode(bench: &Bench, duration_s: f64, stream: &mut Stream) -> Shape {
     }
 }
 
-/// What may befall any series, whatever it is of.
+/// Returns what may befall any series, whatever it is of.
 pub(super) fn of_any_series(cause: Hidden, runs: &[Run], stream: &mut Stream) -> Shape {
     match cause {
         Hidden::Step => {

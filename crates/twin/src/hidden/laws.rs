@@ -38,7 +38,7 @@ impl WarmupLaw {
         (self.warm_s - self.lag_s) / self.exponent
     }
 
-    /// The growth in each row, from cold: h heats towards 1 once the spindle has run for t₁, else
+    /// Returns the growth in each row, from cold: h heats towards 1 once the spindle has run for t₁, else
     /// cools towards 0, and s = Smax·min(1, h/(1 − e^(−k))).
     pub fn growth_um(&self, time_s: &[f64], rpm: &[f64]) -> Vec<f64> {
         let full = 1.0 - (-self.exponent).exp();
@@ -76,7 +76,7 @@ pub(super) fn warmup_heat(
     all
 }
 
-/// A table over equal steps, straight between its points, held outside.
+/// Returns a table over equal steps, straight between its points, held outside.
 pub(super) fn stepped(start: f64, step: f64, values: &[f64], at: f64) -> f64 {
     let place = ((at - start) / step).clamp(0.0, (values.len() - 1) as f64);
     let low = (place as usize).min(values.len().saturating_sub(2));
@@ -84,7 +84,7 @@ pub(super) fn stepped(start: f64, step: f64, values: &[f64], at: f64) -> f64 {
     values[low] + (values[high] - values[low]) * (place - low as f64)
 }
 
-/// A table of pairs (at, value), straight between, held outside.
+/// Returns a table of pairs (at, value), straight between, held outside.
 pub(super) fn paired(pairs: &[(f64, f64)], at: f64) -> f64 {
     let above = pairs.iter().position(|&(there, _)| there > at).unwrap_or(pairs.len());
     match (above.checked_sub(1), pairs.get(above)) {
@@ -98,7 +98,7 @@ pub(super) fn paired(pairs: &[(f64, f64)], at: f64) -> f64 {
     }
 }
 
-/// The knots of a clamped cubic B-spline with equal spans from `low` to `high`.
+/// Returns the knots of a clamped cubic B-spline with equal spans from `low` to `high`.
 pub(super) fn even_knots(low: f64, high: f64, controls: usize) -> Vec<f64> {
     let spans = controls - 3;
     let inner = (1..spans).map(|i| low + (high - low) * i as f64 / spans as f64);
@@ -108,7 +108,7 @@ pub(super) fn even_knots(low: f64, high: f64, controls: usize) -> Vec<f64> {
     knots
 }
 
-/// A cubic B-spline as the sum of its basis functions, each by the recurrence of Cox and de Boor.
+/// Returns a cubic B-spline as the sum of its basis functions, each by the recurrence of Cox and de Boor.
 pub(super) fn spline(knots: &[f64], controls: &[f64], at: f64) -> f64 {
     let last = knots[knots.len() - 1];
     // The basis is 0 at the very end, where the last control point alone counts.

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::noise::{Correlated, Stream, rms};
 
-/// The challenge on `base` with `causes` in it.
+/// Returns the challenge on `base` with `causes` in it.
 pub(super) fn challenge(
     base: Base,
     causes: &[Hidden],
@@ -87,7 +87,7 @@ pub(super) fn challenge(
     Challenge { runs, holdout, machine, quantity, truth }
 }
 
-/// The number of training rows, and what share of the effect's RMS each imitator leaves.
+/// Returns the number of training rows, and what share of the effect's RMS each imitator leaves.
 fn imitated(shape: &Shape, has_true_zero: bool) -> (f64, Vec<(Hidden, f64)>) {
     let um: Vec<f64> = shape.um[..shape.um.len() - 1].concat();
     let left = |column: &Vec<f64>| {
@@ -109,7 +109,7 @@ fn size(um: &[Vec<f64>], has_true_zero: bool) -> f64 {
     rms(&training.iter().map(|um| um - zero).collect::<Vec<f64>>())
 }
 
-/// The size of the noise, the effects at their sizes, and their sum on each row of each run.
+/// Returns the size of the noise, the effects at their sizes, and their sum on each row of each run.
 fn sized(
     shapes: Vec<Shape>,
     ratio: f64,
@@ -147,7 +147,7 @@ fn sized(
     (sigma, effects, sum)
 }
 
-/// The last digit of an instrument that is fit for noise of this size.
+/// Returns the last digit of an instrument that is fit for noise of this size.
 fn quantum_um(sigma: f64, stream: &mut Stream) -> f64 {
     let digits = [0.0001, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2];
     let fit: Vec<f64> = digits.into_iter().filter(|digit| *digit <= sigma / 4.0).collect();
@@ -155,7 +155,7 @@ fn quantum_um(sigma: f64, stream: &mut Stream) -> f64 {
     if choice.is_empty() { 0.0001 } else { stream.pick(choice) }
 }
 
-/// The clock of the logger that the gauge is on: it starts with the run, as the other does.
+/// Returns the clock of the logger that the gauge is on: it starts with the run, as the other does.
 fn with_gauge_clock(mut runs: Vec<Run>) -> Vec<Run> {
     for run in &mut runs {
         let time_s = run.column("time_s").to_vec();

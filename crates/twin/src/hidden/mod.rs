@@ -114,7 +114,7 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// The parameter `name`, if the effect has it.
+    /// Returns the parameter `name`, if the effect has it.
     #[must_use]
     pub fn parameter(&self, name: &str) -> Option<f64> {
         self.parameters.iter().find(|(there, _)| *there == name).map(|&(_, value)| value)
@@ -122,7 +122,7 @@ impl Effect {
 }
 
 impl Truth {
-    /// The largest reduction that a diagnosis can reach on the hold-out run: 1 − RMS(noise) over
+    /// Returns the largest reduction that a diagnosis can reach on the hold-out run: 1 − RMS(noise) over
     /// RMS(effect + noise).
     #[must_use]
     pub fn possible_reduction(&self) -> f64 {
@@ -137,7 +137,7 @@ impl Truth {
     }
 }
 
-/// A challenge with `cause` in it, `ratio` times as large as the noise (RMS). Where `cause` is only
+/// Returns a challenge with `cause` in it, `ratio` times as large as the noise (RMS). Where `cause` is only
 /// noise, `ratio` counts for nothing. Above 0; 0.5 is hard, 5 is plain.
 #[must_use]
 pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
@@ -146,7 +146,7 @@ pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
     mix::challenge(base, &[cause], ratio, seed, stream)
 }
 
-/// A challenge with two causes in it, each `ratio` times as large as the noise. `None` if there is
+/// Returns a challenge with two causes in it, each `ratio` times as large as the noise. `None` if there is
 /// no machine on which both can be told.
 #[must_use]
 pub fn draw_pair(first: Hidden, second: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {

@@ -29,7 +29,7 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// The positions of the main axis, and the number of the cycle, row by row.
+    /// Returns the positions of the main axis, and the number of the cycle, row by row.
     fn positions(&self, rows: usize, stream: &mut Stream) -> Vec<(f64, usize)> {
         let mut all = Vec::with_capacity(rows);
         let mut cycle = 0;
@@ -58,7 +58,7 @@ impl Plan {
         all
     }
 
-    /// One run: all columns but the measured one.
+    /// Returns one run: all columns but the measured one.
     pub(super) fn drive(&self, rows: usize, stream: &mut Stream) -> RunTable {
         let mut table = RunTable::new();
         let air_c = stream.uniform(18.0, 23.0);

@@ -47,7 +47,7 @@ impl Named {
     }
 }
 
-/// A law that is linear in its one parameter, which has a sign.
+/// Returns a law that is linear in its one parameter, which has a sign.
 pub(super) fn linear(cause: Hidden, parameter: &'static str, um: Vec<Vec<f64>>) -> Shape {
     Shape {
         cause,
@@ -60,7 +60,7 @@ pub(super) fn linear(cause: Hidden, parameter: &'static str, um: Vec<Vec<f64>>) 
     }
 }
 
-/// An effect whose parameters are drawn, and whose size follows.
+/// Returns an effect whose parameters are drawn, and whose size follows.
 pub(super) fn fixed(
     cause: Hidden,
     parameters: Vec<(&'static str, f64)>,

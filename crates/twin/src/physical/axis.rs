@@ -21,7 +21,7 @@ const NEVER_S: f64 = 1e12;
 const MEASUREMENTS: u32 = 20;
 const TRAVEL_MM: [f64; 2] = [20.0, 980.0];
 
-/// The machine that is drawn, and its user's file.
+/// Returns the machine that is drawn, and its user's file.
 pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
     let on_screw = kind == Kind::ScrewAxis;
     let axis = AxisConfig {

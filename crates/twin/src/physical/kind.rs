@@ -58,7 +58,7 @@ impl Kind {
         }
     }
 
-    /// The faults that such a machine can have and its model does not follow: what a sensor or a
+    /// Returns the faults that such a machine can have and its model does not follow: what a sensor or a
     /// thermometer in use sees is corrected.
     #[must_use]
     pub fn faults(self) -> &'static [Fault] {
@@ -113,7 +113,7 @@ pub(super) fn thermometers(spots: Vec<(&str, Spot)>) -> BTreeMap<String, Thermom
     spots.into_iter().map(|(name, at)| (name.to_string(), good(at))).collect()
 }
 
-/// A machine of which only the kind is known, and what is measured on it: nothing of it errs, and it does
+/// Returns a machine of which only the kind is known, and what is measured on it: nothing of it errs, and it does
 /// nothing yet.
 pub(super) fn bare(kind: Kind, measured: Quantity) -> Scenario {
     Scenario {

@@ -25,7 +25,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// The machine of this kind that `seed` draws.
+    /// Returns the machine of this kind that `seed` draws.
     #[must_use]
     pub fn draw(kind: Kind, seed: u64) -> Self {
         let mut stream = Stream::new(seed, "physical machine");
@@ -50,7 +50,7 @@ impl Plant {
         Self { kind, machine, quantity, gauge_um, seed, bare, directions }
     }
 
-    /// What the machine is and does on a day of its own, with `faults` and their sizes.
+    /// Returns what the machine is and does on a day of its own, with `faults` and their sizes.
     #[must_use]
     pub fn day(&self, number: u64, faults: &[(Fault, f64)]) -> Scenario {
         let mut stream = Stream::new(self.seed, &format!("physical day {number}"));
@@ -72,7 +72,7 @@ impl Plant {
         scenario
     }
 
-    /// The same day of the machine that has not this fault, but all around that comes with its size:
+    /// Returns the same day of the machine that has not this fault, but all around that comes with its size:
     /// what a fault does is the difference.
     #[must_use]
     pub fn day_without(&self, number: u64, fault: Fault, size: f64) -> Scenario {
@@ -83,7 +83,7 @@ impl Plant {
         scenario
     }
 
-    /// The seed of all chance of a day.
+    /// Returns the seed of all chance of a day.
     #[must_use]
     pub fn seed_of_day(&self, number: u64) -> u64 {
         // Days of one machine, and machines of neighbouring seeds, far apart from each other.
@@ -115,7 +115,7 @@ fn tools(seed: u64) -> [f64; 4] {
     [(); 4].map(|()| shares.swap_remove(stream.whole(0, shares.len() - 1)))
 }
 
-/// A room that swings by `swing_c` over the day and wanders by half of that, from some hour on.
+/// Returns a room that swings by `swing_c` over the day and wanders by half of that, from some hour on.
 fn room(swing_c: f64, stream: &mut Stream) -> AmbientConfig {
     AmbientConfig {
         mean_c: HELD_C,

@@ -21,7 +21,7 @@ pub(super) const TOOLS: [u16; 4] = [2, 5, 7, 11];
 /// A shift, in s.
 const SHIFT_S: f64 = 25_000.0;
 
-/// The machine that is drawn, and its user's file.
+/// Returns the machine that is drawn, and its user's file.
 pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
     let max_rpm = (stream.uniform(8.0, 24.0) * 10.0).round() * 100.0;
     let mut spindle = SpindleConfig {
@@ -81,7 +81,7 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
     (scenario, machine)
 }
 
-/// The file of one who has recorded a start from cold: a housing of one node follows its bearings' heat
+/// Returns the file of one who has recorded a start from cold: a housing of one node follows its bearings' heat
 /// with one time constant, and the heat of viscous bearings goes with the speed to the power 5/3.
 fn warmup(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> String {
     /// So many time constants until it counts as warm: what is missing then is below 10⁻⁵.

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 pub struct Desk(TempDir);
 
 impl Desk {
-    /// A folder with these files: name and content.
+    /// Returns a folder with these files: name and content.
     pub fn new(files: &[(&str, &str)]) -> Self {
         let desk = Self(tempfile::tempdir().expect("a writable folder for temporary files"));
         for (name, content) in files {
@@ -36,12 +36,12 @@ impl Desk {
         fs::read(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// The same of a file that must be UTF-8.
+    /// Returns the same of a file that must be UTF-8.
     pub fn text(&self, name: &str) -> String {
         fs::read_to_string(self.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
     }
 
-    /// The names in a folder of this one (`.`: itself), sorted.
+    /// Returns the names in a folder of this one (`.`: itself), sorted.
     pub fn files(&self, folder: &str) -> Vec<String> {
         let entries = fs::read_dir(self.path(folder)).expect("a readable folder");
         let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
@@ -74,7 +74,7 @@ impl Desk {
     }
 }
 
-/// What was said, with `file:line:column: rule` for the error, its place and its line with a caret; the
+/// Returns what was said, with `file:line:column: rule` for the error, its place and its line with a caret; the
 /// form itself is tested in `check.rs`.
 pub fn in_one_line(said: &str) -> String {
     let mut lines: Vec<String> = Vec::new();

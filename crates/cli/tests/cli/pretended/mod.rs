@@ -58,7 +58,7 @@ pub enum Fault {
     CncLeaves,
 }
 
-/// A bridge at a port of this machine, engaged by a CNC that it has elsewhere.
+/// Returns a bridge at a port of this machine, engaged by a CNC that it has elsewhere.
 pub fn bridge(fault: Fault) -> (String, Arc<Mutex<ReceivedBytes>>) {
     bridge_with(fault, true)
 }
@@ -67,12 +67,12 @@ pub fn bridge_with(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedByt
     listening(fault, move || engage, false)
 }
 
-/// The same for one tool after the other.
+/// Returns the same for one tool after the other.
 pub fn bridge_many(fault: Fault, engage: bool) -> (String, Arc<Mutex<ReceivedBytes>>) {
     listening(fault, move || engage, true)
 }
 
-/// The same, engaged when its CNC says so.
+/// Returns the same, engaged when its CNC says so.
 pub fn bridge_steered(
     is_engaged: impl Fn() -> bool + Send + 'static,
 ) -> (String, Arc<Mutex<ReceivedBytes>>) {
@@ -111,7 +111,7 @@ pub fn paper() -> Compiled {
     compile(&paper_machine()).expect("the paper's sensor fits")
 }
 
-/// A node that runs on this blob, as after a start.
+/// Returns a node that runs on this blob, as after a start.
 fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
     let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
     node.set_blob(blob);
@@ -151,7 +151,7 @@ fn take_load(node: &mut Node<'_>, fault: Fault, stored: &mut Option<Vec<u8>>) {
     }
 }
 
-/// Whether the line damages this frame.
+/// Returns whether the line damages this frame.
 fn is_damaged(fault: Fault, frame: &Frame, ms: u32) -> bool {
     match fault {
         Fault::Noise => ms % 100 == 99,

@@ -92,7 +92,7 @@ impl Terminal {
         self.keys.write_all(keys.as_bytes()).expect("the terminal is open");
     }
 
-    /// How it ended, once all that it had drawn is on the screen.
+    /// Returns how it ended, once all that it had drawn is on the screen.
     pub fn ended(&mut self) -> ExitStatus {
         let start = Instant::now();
         loop {

@@ -46,7 +46,7 @@ impl Write for Tools {
     }
 }
 
-/// A socket that does not block may take bytes in parts.
+/// Returns a socket that does not block may take bytes in parts.
 pub fn write_all(stream: &mut impl Write, mut bytes: &[u8]) -> std::io::Result<()> {
     while !bytes.is_empty() {
         match stream.write(bytes) {
@@ -58,7 +58,7 @@ pub fn write_all(stream: &mut impl Write, mut bytes: &[u8]) -> std::io::Result<(
     Ok(())
 }
 
-/// The frame with a bit flipped.
+/// Returns the frame with a bit flipped.
 pub fn damaged(frame: &Frame) -> Frame {
     let mut data = *frame.data();
     data[5] ^= 0x04;

@@ -18,7 +18,7 @@ pub(super) fn lagging() -> Calibration<'static> {
     machine
 }
 
-/// The same with a term of its screw's temperature in the place of the law: 1 µm, whatever the temperature is.
+/// Returns the same with a term of its screw's temperature in the place of the law: 1 µm, whatever the temperature is.
 pub(super) fn by_term(
     mut machine: Calibration<'static>,
     smoothing: SmoothingFactor,

@@ -7,7 +7,7 @@ use crate::testing::random;
 const RAPID: u32 = 50_000;
 const MM: i32 = Position::PER_MILLIMETRE;
 
-/// A machine whose X has a table, so that its position is needed, and this rapid traverse.
+/// Returns a machine whose X has a table, so that its position is needed, and this rapid traverse.
 fn machine(rapid: u32) -> Calibration<'static> {
     /// 1 µm on 1 m.
     static POINTS: [[u8; 4]; 2] = [[0; 4], 256_000_i32.to_le_bytes()];
@@ -46,7 +46,7 @@ impl Rig {
     }
 }
 
-/// Whether a position so far away is believed after so long.
+/// Returns whether a position so far away is believed after so long.
 fn is_believed(rapid: u32, way: i32, after_ms: u32) -> bool {
     let mut rig = Rig::new(machine(rapid));
     rig.position(100 * MM);

@@ -10,7 +10,7 @@ use crate::{
 const FINE: Thermometer = Thermometer::Linear { zero: 0, slope: 1_000, shift: 0 };
 const PER_K: f64 = 16.0 * 256.0;
 
-/// A spindle by its temperature alone, 10 µm/K above 20 °C, on channel 3; channel 5 is another thermometer.
+/// Returns a spindle by its temperature alone, 10 µm/K above 20 °C, on channel 3; channel 5 is another thermometer.
 fn by_temperature() -> Calibration<'static> {
     let mut machine = chain();
     machine.spindle.chain = [Some(ElongationSource::Temperature), None, None];

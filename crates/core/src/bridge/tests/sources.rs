@@ -16,7 +16,7 @@ pub(super) const TEN_UM_PER_K: [[u8; 20]; 1] = [{
     bytes
 }];
 
-/// The sensor of `calibration`, then a temperature on channel 3, then a warm-up of 30 µm at once.
+/// Returns the sensor of `calibration`, then a temperature on channel 3, then a warm-up of 30 µm at once.
 pub(super) fn chain() -> Calibration<'static> {
     let mut machine = calibration();
     machine.spindle.chain =
@@ -237,7 +237,8 @@ fn a_source_that_returns_tells_what_grew_while_the_thermometer_in_use_said_nothi
     assert!((rig.z_nm() - grown - 10_240).abs() <= 10, "{} after {grown}", rig.z_nm());
 }
 
-/// Whether a quiet sensor that has stopped changing is believed after half a second, with the spindle at this speed.
+/// Returns whether a quiet sensor that has stopped changing is believed after half a second, with the spindle at this
+/// speed.
 fn is_believed_frozen_at(speed: Option<Rpm>) -> bool {
     let mut rig = Rig::new(calibration());
     for ms in 0..1_200 {

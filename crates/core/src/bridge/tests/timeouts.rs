@@ -24,7 +24,7 @@ fn twenty_milliseconds_without_samples_are_put_up_with_and_one_more_is_not() {
     }
 }
 
-/// An axis with a law over temperature, which arrives every 100 ms for a second and then no more:
+/// Returns an axis with a law over temperature, which arrives every 100 ms for a second and then no more:
 /// after how many milliseconds it is not followed any longer.
 fn followed_without_a_temperature_ms() -> u32 {
     let mut machine = plain();

@@ -19,7 +19,7 @@ fn quantity(run: &RunFile) -> Quantity {
     Quantity::ALL.into_iter().find(is_measured).expect("one")
 }
 
-/// What is told of the runs, and the columns that are left.
+/// Returns what is told of the runs, and the columns that are left.
 fn searched(machine: &Machine, runs: &[RunFile]) -> (Vec<String>, Data) {
     let data = Data::new(machine, runs, quantity(&runs[0])).expect("comparable").trusted();
     (data.notes.clone(), data)
@@ -74,7 +74,7 @@ fn no_channel_of_the_score_cards_draws_is_set_aside() {
     println!("{channels} channels of {draws} sets of runs");
 }
 
-/// A thermometer, warmed and cooled with noise, as cells.
+/// Returns a thermometer, warmed and cooled with noise, as cells.
 fn celsius(row: usize, lag: f64) -> f64 {
     let phase = ((row as f64 - lag) / 300.0).sin();
     let mixed = (row as u64 + lag as u64 * 7_919).wrapping_mul(0x9E37_79B9_7F4A_7C15);

@@ -57,7 +57,7 @@ pub(super) fn length(v: [f64; 3]) -> f64 {
     v.iter().map(|um| um * um).sum::<f64>().sqrt()
 }
 
-/// The range of the error across the diagonal, on X, Y and Z.
+/// Returns the range of the error across the diagonal, on X, Y and Z.
 pub(super) fn across(cycles: &[&Cycle]) -> [f64; 3] {
     let [x, y, _] = config::TRAVEL_MM;
     let direction = [x / x.hypot(y), y / x.hypot(y), 0.0];
@@ -68,7 +68,7 @@ pub(super) fn across(cycles: &[&Cycle]) -> [f64; 3] {
     [0, 1, 2].map(|axis| range(cycles.iter().map(|cycle| across(cycle)[axis])))
 }
 
-/// The range of the radial error on the arc.
+/// Returns the range of the radial error on the arc.
 pub(super) fn radial(cycles: &[&Cycle]) -> f64 {
     let ([cx, cy], ..) = config::ARC;
     range(cycles.iter().map(|cycle| {
@@ -120,7 +120,7 @@ pub(super) fn stairs(before: &[&Cycle], after: &[&Cycle]) -> Result<Vec<Stair>> 
 /// The axis on which the lag is taken: Y.
 const LAG_AXIS: usize = 1;
 
-/// The delay, in cycles, at which offset and error cancel best; and how many µm/s the error changes
+/// Returns the delay, in cycles, at which offset and error cancel best; and how many µm/s the error changes
 /// by (RMS).
 fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
     const MOST: usize = 100;
@@ -181,7 +181,7 @@ pub(super) fn lag(cycles: &[&Cycle]) -> Result<Lag> {
     })
 }
 
-/// The largest change of an external offset from one servo cycle to the next.
+/// Returns the largest change of an external offset from one servo cycle to the next.
 pub(super) fn largest_step_um(cycles: &[Cycle]) -> f64 {
     cycles
         .windows(2)
@@ -192,7 +192,7 @@ pub(super) fn largest_step_um(cycles: &[Cycle]) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// How far the machine that only ignores the offsets is from the one that was cut without them, on
+/// Returns how far the machine that only ignores the offsets is from the one that was cut without them, on
 /// Z along the diagonal.
 pub(super) fn ignored_against_cut_um(cut: &[&Cycle], ignored: &[&Cycle]) -> f64 {
     let x = |cycle: &Cycle| cycle.commanded_mm()[0];
@@ -216,7 +216,7 @@ fn thin<'c>(cycles: &'c [&'c Cycle]) -> impl Iterator<Item = &'c Cycle> {
     cycles.iter().step_by((cycles.len() / POINTS).max(1)).copied()
 }
 
-/// The errors of two passes on one axis over a place; they are cut at the same speed, so that equal
+/// Returns the errors of two passes on one axis over a place; they are cut at the same speed, so that equal
 /// places have nearly equal numbers.
 pub(super) fn along(before: &[&Cycle], after: &[&Cycle], place: Of, axis: usize) -> ErrorCurve {
     let mut curve = ErrorCurve::default();
@@ -259,7 +259,7 @@ pub(super) fn five_axes_curve(cycles: &[&Cycle]) -> ErrorCurve {
 mod tests {
     use super::*;
 
-    /// A diagonal at 1 mm a cycle over a wave of 100 µm, with offsets `late` cycles behind.
+    /// Returns a diagonal at 1 mm a cycle over a wave of 100 µm, with offsets `late` cycles behind.
     fn diagonal(late: usize) -> Vec<Cycle> {
         let error = |n: f64| 100.0 * (n / 800.0).sin();
         let cycle = |n: usize| {

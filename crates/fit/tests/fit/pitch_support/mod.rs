@@ -9,7 +9,7 @@ use trueup_machine::{
     model::{ReferenceModel, Situation},
 };
 
-/// The run file with this content.
+/// Returns the run file with this content.
 pub fn run_of(text: &str) -> Unaided<'static> {
     unaided(
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv"))
@@ -17,12 +17,12 @@ pub fn run_of(text: &str) -> Unaided<'static> {
     )
 }
 
-/// A run that no bridge had a part in.
+/// Returns a run that no bridge had a part in.
 pub fn unaided(run: RunFile) -> Unaided<'static> {
     Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
-/// A run of sweeps up and down over `targets`: `error` in µm of run, position and direction.
+/// Returns a run of sweeps up and down over `targets`: `error` in µm of run, position and direction.
 pub fn sweeps(
     runs: usize,
     targets: &[f64],
@@ -40,7 +40,7 @@ pub fn sweeps(
     text
 }
 
-/// The machine file that `edit` makes of one without an axis.
+/// Returns the machine file that `edit` makes of one without an axis.
 pub fn machine_of(edit: &Edit) -> Machine {
     let source = "[machine]\nname = \"tested\"\nkind = \"3-axis\"\n";
     let path = Path::new("m.toml");
@@ -48,7 +48,7 @@ pub fn machine_of(edit: &Edit) -> Machine {
     MachineFile::parse(&written, path).expect("apply has parsed it")
 }
 
-/// What the reference model, which `trueup predict` prints, leaves of `measured_dx_um` on the rows
+/// Returns what the reference model, which `trueup predict` prints, leaves of `measured_dx_um` on the rows
 /// of the named runs.
 pub fn left_by_model(run: &RunFile, edit: &Edit, runs: &[f64]) -> Vec<f64> {
     let machine = machine_of(edit);
@@ -66,7 +66,7 @@ pub fn left_by_model(run: &RunFile, edit: &Edit, runs: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// The root mean square.
+/// Returns the root mean square.
 pub fn rms(um: &[f64]) -> f64 {
     (um.iter().map(|x| x * x).sum::<f64>() / um.len() as f64).sqrt()
 }

@@ -36,7 +36,7 @@ pub struct Guideway {
 }
 
 impl Guideway {
-    /// The guideway number `seed`, with a range of `range_um` over its travel.
+    /// Returns the guideway number `seed`, with a range of `range_um` over its travel.
     pub fn new(seed: u64, travel_mm: f64, range_um: f64) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let height = Normal::new(0.0, 1.0).expect("finite");

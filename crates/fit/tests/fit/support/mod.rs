@@ -26,7 +26,7 @@ impl Noise {
     }
 }
 
-/// A run of these columns, under the name `run.csv`.
+/// Returns a run of these columns, under the name `run.csv`.
 pub fn run(columns: &[(&str, &[f64])]) -> Unaided<'static> {
     let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
     let mut text = names.join(",");
@@ -45,7 +45,7 @@ pub fn run(columns: &[(&str, &[f64])]) -> Unaided<'static> {
     parse(&text)
 }
 
-/// A run that no bridge had a part in.
+/// Returns a run that no bridge had a part in.
 pub fn unaided(run: RunFile) -> Unaided<'static> {
     Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
@@ -59,7 +59,7 @@ pub fn machine(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).expect("the test's own text")
 }
 
-/// The machine file `text` with what was fitted.
+/// Returns the machine file `text` with what was fitted.
 pub fn applied(report: &Report, text: &str) -> Machine {
     let text = report.edit.apply(text, Path::new("m.toml")).expect("loads");
     machine(&text)

@@ -20,7 +20,7 @@ pub(in crate::s7) fn set_up(reference: u16, pdu: u8) -> Vec<u8> {
     answer(reference, &[0xF0, 0, 0, 1, 0, 1, 0, pdu], &[])
 }
 
-/// A CPU that answers each request by the next of these, some bytes at a time, then goes.
+/// Returns a CPU that answers each request by the next of these, some bytes at a time, then goes.
 pub(in crate::s7) fn cpu(answers: Vec<Vec<u8>>, at_a_time: usize) -> Place {
     let listener = TcpListener::bind("127.0.0.1:0").expect("loopback");
     let address = listener.local_addr().expect("bound").to_string();

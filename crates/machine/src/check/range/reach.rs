@@ -46,7 +46,7 @@ pub(super) fn findings(machine: &Machine) -> Vec<Finding> {
     found
 }
 
-/// The temperatures of the input, and where they end.
+/// Returns the temperatures of the input, and where they end.
 fn gives(line: &LinearInput) -> String {
     let [low, high] = [LOW_RAIL.0 + 1, HIGH_RAIL.0 - 1];
     let last = line.scale.largest_count() * line.scale.codes_per_count();
@@ -74,7 +74,7 @@ fn help(line: &LinearInput) -> &'static str {
     }
 }
 
-/// The reference temperatures of the laws that read the column, with their keys.
+/// Returns the reference temperatures of the laws that read the column, with their keys.
 fn references(machine: &Machine, column: &str) -> Vec<(String, f64)> {
     let spindle = machine.spindle.temperature.iter().filter(|law| law.sensor == column);
     let mut all: Vec<(String, f64)> = spindle

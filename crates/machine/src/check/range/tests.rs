@@ -17,7 +17,7 @@ fn findings(text: &str) -> Vec<(String, Grade, String)> {
     found.map(|it| (it.key, it.grade, it.warning.what)).collect()
 }
 
-/// The only finding: its key, grade, and what it says.
+/// Returns the only finding: its key, grade, and what it says.
 fn only(text: &str) -> (String, Grade, String) {
     let mut found = findings(text);
     assert_eq!(found.len(), 1, "{text}: {found:?}");

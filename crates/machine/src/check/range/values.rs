@@ -11,7 +11,7 @@ pub(super) struct Entry {
     pub(super) values: Vec<f64>,
 }
 
-/// The numbers of `machine`, those that came by default included.
+/// Returns the numbers of `machine`, those that came by default included.
 pub(super) fn entries(machine: &Machine) -> Vec<Entry> {
     let mut entries = Vec::new();
     for section in machine.sections() {

@@ -6,7 +6,8 @@ use crate::MachineFile;
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
                        [spindle.temperature]\nsensor = \"temp_nose_c\"\nreference_c = 20.0\nk_um_per_c = 2.0\n";
 
-/// A spindle that is driven for two hours in each three, a row each `every_s`: time, temperature, speed, growth.
+/// Returns a spindle that is driven for two hours in each three, a row each `every_s`: time, temperature, speed,
+/// growth.
 fn spindle(every_s: f64, rows: usize) -> Vec<[f64; 4]> {
     let (mut nose, mut growth) = (0.0, 0.0);
     let row = |number: usize| {
@@ -19,7 +20,7 @@ fn spindle(every_s: f64, rows: usize) -> Vec<[f64; 4]> {
     (0..rows).map(row).collect()
 }
 
-/// What is found in these rows once `change` has written them in another unit.
+/// Returns what is found in these rows once `change` has written them in another unit.
 fn found(rows: &[[f64; 4]], change: impl Fn([f64; 4]) -> [f64; 4]) -> Vec<(String, Grade, String)> {
     let mut text = String::from("time_s,temp_nose_c,spindle_rpm,measured_elongation_um\n");
     for row in rows {

@@ -41,7 +41,7 @@ impl OwnedTools {
     }
 }
 
-/// The factor on the board, how many of the board's units are one of the user's, and up to what it is checked.
+/// Returns the factor on the board, how many of the board's units are one of the user's, and up to what it is checked.
 fn factor(times: &Times) -> Result<(Factor, f64, f64), String> {
     Ok(match times {
         Times::One => (Factor::One, FINE_PER_UM, 1.0),
@@ -87,7 +87,7 @@ pub(super) fn tools(tools: &[(u16, f64)], other: f64, times: &Times) -> Made<Own
     Ok((OwnedEffect::Tools(OwnedTools { levels, other, shift, times }), nm))
 }
 
-/// The condition of a form, with the default that `[inputs]` states for its bit.
+/// Returns the condition of a form, with the default that `[inputs]` states for its bit.
 pub(super) fn condition(
     inputs: Option<&Inputs>,
     column: &str,
@@ -125,7 +125,7 @@ pub(in crate::compile) fn refuse_labels(machine: &Machine) -> Result<(), BadInpu
     }
 }
 
-/// What a user writes for levels that share a binary point.
+/// Returns what a user writes for levels that share a binary point.
 fn written(stored: &[i32], shift: u8, unit: f64) -> Vec<f64> {
     let power = 2_f64.powi(shift.into());
     let most = stored.iter().map(|m| m.unsigned_abs()).max().unwrap_or(0);

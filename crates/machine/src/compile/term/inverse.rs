@@ -20,7 +20,7 @@ use crate::{
     },
 };
 
-/// The terms as a user writes them.
+/// Returns the terms as a user writes them.
 pub(in crate::compile) fn inverse(calibration: &Calibration<'_>) -> Vec<file::Term> {
     let terms = calibration.terms.iter().flatten().filter_map(term);
     falling(calibration).into_iter().chain(terms).collect()
@@ -46,7 +46,7 @@ fn falling(calibration: &Calibration<'_>) -> Vec<file::Term> {
     terms
 }
 
-/// The term as the first cause of the list that has its form.
+/// Returns the term as the first cause of the list that has its form.
 fn term(term: &Term<'_>) -> Option<file::Term> {
     let own = match term.target {
         Target::Elongation => None,
@@ -136,12 +136,12 @@ fn value(coefficient: Scaled) -> f64 {
     f64::from(coefficient.mantissa) / 2_f64.powi(coefficient.shift.into())
 }
 
-/// Whether `number` is stored as this coefficient.
+/// Returns whether `number` is stored as this coefficient.
 fn is(number: f64, coefficient: Scaled) -> bool {
     scaled(number, 0.0).is_ok_and(|(stored, _)| stored == coefficient)
 }
 
-/// What a user writes for a coefficient of which `per_unit` are one of the user's unit.
+/// Returns what a user writes for a coefficient of which `per_unit` are one of the user's unit.
 fn number(coefficient: Scaled, per_unit: f64) -> f64 {
     fewest_decimals(value(coefficient) / per_unit, |number| is(number * per_unit, coefficient))
 }

@@ -139,7 +139,7 @@ fn curves(values: &[f64]) -> impl Iterator<Item = Form> {
     all.flatten().map(|at| Form::Curve { added: vec![0.0; at.len()], at })
 }
 
-/// The values of a column in the rows in which what it is multiplied by is not 0.
+/// Returns the values of a column in the rows in which what it is multiplied by is not 0.
 fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
     let factor = match times {
         Times::Speed2 => survey.column(SPEED),
@@ -150,7 +150,7 @@ fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
     values.iter().enumerate().filter(|(row, _)| acts(*row)).map(|(_, value)| *value).collect()
 }
 
-/// A column that has different values.
+/// Returns a column that has different values.
 fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
     survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
 }

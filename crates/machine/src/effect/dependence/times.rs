@@ -27,13 +27,13 @@ impl Times {
         }
     }
 
-    /// The second column, where there is one.
+    /// Returns the second column, where there is one.
     #[must_use]
     pub fn column(&self) -> Option<&str> {
         if let Self::Column { column, .. } = self { Some(column) } else { None }
     }
 
-    /// What is read of a run for it.
+    /// Returns what is read of a run for it.
     pub(super) fn input(&self) -> Option<Input<'_>> {
         match self {
             Self::One => None,
@@ -72,7 +72,7 @@ impl Times {
         }
     }
 
-    /// The keys of a slope and of the levels, which carry the unit.
+    /// Returns the keys of a slope and of the levels, which carry the unit.
     pub(super) fn keys(&self) -> [&'static str; 2] {
         match self {
             Self::One => ["um_per_unit", "level_um"],
@@ -83,7 +83,7 @@ impl Times {
         }
     }
 
-    /// The unit of what a level adds.
+    /// Returns the unit of what a level adds.
     pub(super) fn unit(&self) -> String {
         match self {
             Self::One => " µm".into(),

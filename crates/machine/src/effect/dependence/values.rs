@@ -29,7 +29,7 @@ pub(super) fn zero_of(values: &[f64]) -> f64 {
     }
 }
 
-/// The levels of a column that is a category, the most frequent one first; none of any other column.
+/// Returns the levels of a column that is a category, the most frequent one first; none of any other column.
 pub(super) fn levels(values: &[f64]) -> Option<Vec<f64>> {
     let mut found: Vec<(f64, usize)> = Vec::new();
     for &value in values.iter().filter(|value| value.is_finite()) {
@@ -53,7 +53,7 @@ pub(super) fn levels(values: &[f64]) -> Option<Vec<f64>> {
     Some(found.into_iter().map(|(level, _)| level).collect())
 }
 
-/// The numbers of the tools that were used often; of the others nothing is known.
+/// Returns the numbers of the tools that were used often; of the others nothing is known.
 pub(super) fn tools(values: &[f64]) -> Option<Vec<f64>> {
     let rows = |tool: f64| values.iter().filter(|it| **it == tool).count();
     let often: Vec<f64> =
@@ -81,7 +81,7 @@ pub(super) fn knots(values: &[f64], count: usize) -> Option<Vec<f64>> {
         .then_some(different)
 }
 
-/// The values at these of `of` equal shares of the sorted rows, no two alike.
+/// Returns the values at these of `of` equal shares of the sorted rows, no two alike.
 fn shares(values: &[f64], numbers: RangeInclusive<usize>, of: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);

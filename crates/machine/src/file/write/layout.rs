@@ -74,7 +74,7 @@ pub(super) fn set(table: &mut dyn TableLike, key: &str, new: &Value, note: Optio
     }
 }
 
-/// A table under a header of its own, `remarks` above it.
+/// Returns a table under a header of its own, `remarks` above it.
 pub(super) fn table(remarks: &[String]) -> Table {
     let mut table = Table::new();
     let remarks: String =
@@ -83,7 +83,7 @@ pub(super) fn table(remarks: &[String]) -> Table {
     table
 }
 
-/// The table at `names`, made where it is not there, with `remarks` above it; `None` where a name
+/// Returns the table at `names`, made where it is not there, with `remarks` above it; `None` where a name
 /// on the way is no table, which no machine file has.
 pub(super) fn descend<'t>(
     root: &'t mut Table,

@@ -46,7 +46,7 @@ pub enum Value {
 }
 
 impl NewSection {
-    /// The section with the dotted name `name`, without keys yet.
+    /// Returns the section with the dotted name `name`, without keys yet.
     #[must_use]
     pub fn new(name: impl Into<String>) -> Self {
         Self { name: name.into(), remarks: Vec::new(), entries: Vec::new(), kept: &[] }
@@ -126,7 +126,7 @@ impl NewSection {
         &self.name
     }
 
-    /// The number `key`, if it is one of its own.
+    /// Returns the number `key`, if it is one of its own.
     #[must_use]
     pub fn number_of(&self, key: &str) -> Option<f64> {
         match self.value_of(key) {
@@ -140,7 +140,7 @@ impl NewSection {
         self.entries.iter().map(|entry| (entry.key.as_str(), &entry.value))
     }
 
-    /// The value of `key`, if it is one of its own.
+    /// Returns the value of `key`, if it is one of its own.
     pub(super) fn value_of(&self, key: &str) -> Option<&Value> {
         self.entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)
     }
@@ -158,7 +158,7 @@ impl NewSection {
     }
 }
 
-/// A line break would end a comment.
+/// Returns a line break would end a comment.
 fn on_one_line(comment: String) -> String {
     comment.replace(['\n', '\r'], " ")
 }
