@@ -425,7 +425,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
 }
 
 /// Returns the log from the start to the first line that the board writes of its own accord. It comes
-/// beside the frames, so it may come later.
+/// next to the frames, so it may come later.
 fn log_of(board: &VirtualBoard) -> Result<String> {
     let end = Instant::now() + PATIENCE;
     loop {

@@ -151,7 +151,7 @@ impl<'a> Loop<'a> {
 }
 
 /// Returns the record of a machine that the bridge corrects with what is believed: what the monitor writes, and
-/// beside it what an instrument reads, 0.1 µm good.
+/// next to it what an instrument reads, 0.1 µm good.
 fn record(truth: &str, believed: &str, engaged: Engaged, is_axis: bool) -> RunFile {
     record_of(truth, believed, engaged, is_axis, 1.0)
 }

@@ -337,7 +337,7 @@ fn autosar_e2e_comes_to_the_same_verdict_on_every_frame() -> Result<()> {
     Ok(())
 }
 
-/// Returns a frame with so many bits wrong, anywhere.
+/// Returns a frame with this many bits wrong, anywhere.
 fn flipped(random: &mut Random, id: u16, mut data: [u8; 8], bits: u32) -> Result<Frame> {
     let first = random.below(64);
     for n in 0..bits {

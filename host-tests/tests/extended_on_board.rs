@@ -41,7 +41,7 @@ const COUNTS_PER_C: f64 = 16.0;
 const PLAYED_S: f64 = 2_700.0;
 const DIVIDER: f64 = 0.33;
 
-/// Returns the machine file with what a board needs beside the model: an input for each thermometer of the
+/// Returns the machine file with what a board needs next to the model: an input for each thermometer of the
 /// run, and limits that do not bind.
 fn on_a_board(model: &str, run: &RunFile) -> String {
     let mut text = model.to_string();

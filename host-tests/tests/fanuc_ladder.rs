@@ -42,7 +42,7 @@ fn the_ladder_shifts_by_the_offset_itself_holds_takes_back_and_steps_within_the_
     }
     let back = json!({ "fault": true, "engaged": true, "state": 6, "shift_um": [0, 0, 0] });
     assert_eq!(saw["back"], back);
-    // A control that does not answer is told, and nothing is lost or doubled by it; ±MAX holds.
+    // A control that does not answer is reported, and nothing is lost or doubled by it; ±MAX holds.
     assert_eq!(
         (&saw["dead"]["fault"], &saw["dead"]["shift_um"]),
         (&json!(true), &followed["shift_um"])

@@ -267,7 +267,7 @@ fn campaign_data_reach_plcs_of_three_languages_within_30_ms_for_ten_minutes() ->
     thread::scope(|scope| {
         let all = [Language::S7, Language::Tcp, Language::Rtu]
             .map(|language| scope.spawn(move || watched(language, how_long)?.in_time()));
-        // Each is told, whatever came of the one before.
+        // Each is reported, whatever came of the one before.
         let all = all.map(|it| it.join().expect("it does not panic"));
         for said in &all {
             println!("{}", said.as_ref().map_or_else(|error| format!("{error:#}"), Clone::clone));

@@ -24,7 +24,7 @@ use trueup_modbus::cnc::Checker;
 const TOLERANCE_UM: f64 = 0.4;
 /// As in `trueup_ob1.awl`.
 const SLEW_UM_PER_S: f64 = 20.0;
-/// The program counts whole milliseconds of its cycle, and is told of the last one: so much more may a step be.
+/// The program counts whole milliseconds of its cycle, and is reported of the last one: this much more may a step be.
 const CLOCK_UM: f64 = SLEW_UM_PER_S * 0.002;
 const PATIENCE: Duration = Duration::from_secs(40);
 
@@ -187,7 +187,7 @@ fn a_thousand_random_cuts_of_either_line_never_make_a_step_above_the_slew_limit(
     cuts(&["--cuts", "1000", LINES])
 }
 
-/// awlsim is slow and its times are real: a PLC beside others on a busy computer holds longer than its line is
+/// awlsim is slow and its times are real: a PLC next to others on a busy computer holds longer than its line is
 /// away, and a bridge that has taken its offset back has nothing that could be swapped.
 fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());

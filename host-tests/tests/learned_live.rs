@@ -13,7 +13,7 @@ use trueup_learn::Live;
 use trueup_machine::{Machine, compile, file::LearnedCaps};
 
 const GROWN_UM: f64 = 40.0;
-/// The offset without what was learned is known to so much.
+/// The offset without what was learned is known to this much.
 const NOISE_UM: f64 = 0.1;
 /// A part of 1 % takes so long.
 const WAY_MS: u32 = 100_000;

@@ -24,7 +24,7 @@ use trueup_machine::{
     model::{backlash_um, pitch_um},
 };
 
-/// The backlash filter rests after a fraction of this: so many readings are the same.
+/// The backlash filter rests after a fraction of this: this many readings are the same.
 const SETTLES: Duration = Duration::from_secs(10);
 const RESTS: u32 = 5;
 /// At rest LinuxCNC keeps the compensation of the last cycle in which the joint still moved, a
@@ -91,7 +91,7 @@ fn run(
 }
 
 /// Returns what each motor's command is off its joint's, in mm. The backlash filter ends a few billionths
-/// beside its goal, so it is watched until it rests.
+/// next to its goal, so it is watched until it rests.
 fn settled(cnc: &mut Headless) -> Result<[f64; 3]> {
     let pins: Vec<String> = ["backlash-filt", "motor-pos-cmd", "pos-cmd", "motor-offset"]
         .iter()

@@ -50,7 +50,7 @@ const GIVEN_UP_MS: u64 = 1_000;
 const LAST_MS: u64 = 130;
 /// The board has lost its CNC by then: the link timeout of 500 ms, and what is on its way.
 const LOST_MS: u64 = 560;
-/// So many milliseconds are a moment.
+/// This many milliseconds are a moment.
 const MOMENTS: usize = 60;
 /// When nothing is cut any more, all is well after so long.
 const SETTLE_MS: u64 = 20_000;
@@ -341,7 +341,7 @@ fn open(port: &mut Port) {
     }
 }
 
-/// So many cuts; what was counted.
+/// This many cuts; what was counted.
 fn cuts(path: Path, count: u32, seed: u64) -> Result<Told> {
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("machine.toml");

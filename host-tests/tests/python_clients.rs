@@ -94,7 +94,7 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
         Some(&json!(1))
     );
     let leaving = &phases["disengaging"];
-    // The first cycles were on their way before the bridge had heard.
+    // The first cycles were on their way before the bridge had received.
     assert!([json!([1, 5, 0]), json!([5, 0])].contains(&leaving["qualities"]), "{leaving}");
     assert_eq!(leaving["last_z_um"], json!(0.0), "{leaving}");
     assert_eq!(leaving["ramp_turns_back"], json!(false), "{leaving}");
@@ -291,7 +291,7 @@ impl Plant {
         Ok(Self { lines: BufReader::new(stream), ms: 0 })
     }
 
-    /// Lets so many milliseconds pass; gives the answer.
+    /// Lets this many milliseconds pass; gives the answer.
     fn step(&mut self, ms: u32, sensor_v: f64) -> Result<Value> {
         self.ms += ms;
         let step = json!({

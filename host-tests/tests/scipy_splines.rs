@@ -1,5 +1,5 @@
 //! B-splines against SciPy: values and fits are the same; and the number of coefficients and the
-//! time for one tolerance, beside FITPACK's, on seeded guideways.
+//! time for one tolerance, next to FITPACK's, on seeded guideways.
 //!
 //! The figures that the documentation states are printed here
 //! (`cargo test -p trueup-host-tests --features emulator --test scipy_splines -- --show-output`).

@@ -19,7 +19,7 @@
 //! | [`Backup`], what outlasts a power cut | backup SRAM and RTC behind VBAT | none |
 //! | [`restart`] | reset | reset of the emulator at the end of a batch |
 //!
-//! Both boards raise the same interrupts, so the tasks cannot tell them apart:
+//! Both boards raise the same interrupts, so the tasks cannot distinguish them:
 //! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
 //! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the
 //! serial line, `DMA2_STREAM7` when there is room for more (`DMA2_STREAM2`: as `USART1`), `USART3` with bytes from

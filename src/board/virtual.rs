@@ -367,7 +367,7 @@ impl Store {
     }
 }
 
-/// Starts the board anew at the end of the batch: the host hears of it there, and rings no more until
+/// Starts the board anew at the end of the batch: the host learns of it there, and rings no more until
 /// the board is up again.
 pub fn restart() {
     RESTART.store(true, Ordering::Relaxed);

@@ -208,7 +208,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             trueup_output::diagnostic(format_args!("error: {error:#}"));
-            // What the user can mend in a file is told apart from everything else.
+            // What the user can mend in a file is distinguished from everything else.
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
     }

@@ -26,7 +26,7 @@ pub use trueup_page::Origin;
 /// What is asked for.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// So much of the RMS must be gone, in percent, 0…100.
+    /// This much of the RMS must be gone, in percent, 0…100.
     pub require_percent: f64,
     /// No error may be larger, in µm, above 0.
     pub limit_um: Option<f64>,

@@ -119,7 +119,7 @@ pub enum ObjectKind {
     Age,
     /// The faults 0…15 of now, one bit each.
     Faults,
-    /// What a CNC must know beside the offsets, one bit each, as in `Status`.
+    /// What a CNC must know next to the offsets, one bit each, as in `Status`.
     StateBits,
     /// Why the board last started, as in `Status`.
     ResetReason,

@@ -11,7 +11,7 @@
 //! | 6–7 | 0 |
 //!
 //! Between two emergencies at least the inhibit time passes. A fault that comes and goes meanwhile
-//! is told all the same, so a flickering one costs no more of the bus than a lasting one, and none
+//! is reported all the same, so a flickering one costs no more of the bus than a lasting one, and none
 //! is overlooked.
 
 use trueup_core::cnc::{Flags, Output, Quality};
@@ -89,7 +89,7 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
     })
 }
 
-/// What is told of the faults, and what was.
+/// What is reported of the faults, and what was.
 #[derive(Clone, Debug)]
 pub struct Emergencies {
     /// Told as there.

@@ -176,7 +176,7 @@ faults! {
     TemperatureRate7 0x7027 "temperature-rate-7" NONE TEMPERATURE_RATE;
     /// An older reference is offered for the calibration, and waits for `Confirm` or `Zero`.
     ReferenceOffered 0x6304 "reference-offered" BOARD REFERENCE_OFFERED;
-    /// The calibration was changed while no CNC was heard, and waits for `Confirm`.
+    /// The calibration was changed while no CNC was received, and waits for `Confirm`.
     CalibrationChanged 0x6305 "calibration-changed" BOARD CALIBRATION_CHANGED;
     /// The tool and the conditions that the calibration needs are missing, while `Control` comes.
     ConditionsLost 0x8102 "conditions-lost" COMMUNICATION CONDITIONS_LOST;

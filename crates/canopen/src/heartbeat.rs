@@ -1,4 +1,4 @@
-//! The heartbeat that a master expects the bridge to hear (object 0x1016).
+//! The heartbeat that a master expects the bridge to receive (object 0x1016).
 //!
 //! It only tells of a loss, by an emergency: what the offsets rest on is `Control`, which is
 //! protected, and not a byte that is not.
@@ -10,12 +10,12 @@ use crate::sdo::Abort;
 /// Identifier of the heartbeat of node 0.
 const BASE: u16 = 0x700;
 
-/// Whose heartbeat is expected, and when it was heard.
+/// Whose heartbeat is expected, and when it was received.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Consumer {
     node: u8,
     time_ms: u16,
-    /// Milliseconds since it was heard; it counts from the first on.
+    /// Milliseconds since it was received; it counts from the first on.
     silent_ms: Option<u32>,
 }
 
@@ -52,7 +52,7 @@ impl Consumer {
         self.silent_ms = self.silent_ms.map(|silent| silent.saturating_add(elapsed_ms));
     }
 
-    /// Returns whether it was heard before, and for longer than the set time no more.
+    /// Returns whether it was received before, and for longer than the set time no more.
     #[must_use]
     pub fn is_lost(&self) -> bool {
         self.is_on() && self.silent_ms.is_some_and(|silent| silent > self.time_ms.into())

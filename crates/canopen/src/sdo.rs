@@ -50,7 +50,7 @@ pub trait Objects {
     /// Why it is not taken.
     fn write(&mut self, what: ObjectKind, number: u32) -> Result<(), Abort>;
 
-    /// A domain is about to come, of so many bytes if the master has said.
+    /// A domain is about to come, of this many bytes if the master has said.
     ///
     /// # Errors
     /// Why it is not taken.

@@ -20,7 +20,7 @@ const HOURS_PER_TICK: f64 = 300.0 / 1e9;
 /// Seconds of a PLC at a gateway in it.
 const PLC_S_PER_TICK: f64 = 600.0 / 1e9;
 
-/// Lets the simulator run for so many ticks, from this seed on, on all cores, tries a hostile calibration for each
+/// Lets the simulator run for this many ticks, from this seed on, on all cores, tries a hostile calibration for each
 /// hundred of them, changes its source ten thousand times, and draws faults for the detectors. For a thousand
 /// million ticks sound sensors live for 300 hours of each noise, and PLCs of three languages are at their gateways
 /// for ten minutes; so is the board on the model of its chip. A failure prints the seed that repeats it.
@@ -58,7 +58,7 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     process::run(&mut programs)
 }
 
-/// Lets each of the fuzz targets run for so many minutes, one on each core at a time; prints how many inputs
+/// Lets each of the fuzz targets run for this many minutes, one on each core at a time; prints how many inputs
 /// each has had.
 ///
 /// # Errors

@@ -29,7 +29,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// So many things that passed.
+    /// This many things that passed.
     pub fn passed(count: u32) -> Self {
         Self { passed: count, ..Self::default() }
     }

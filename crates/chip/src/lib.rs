@@ -1,5 +1,5 @@
 //! A strict STM32F405 in software: an image runs on it as it is flashed, and what silicon would not do,
-//! ignores or forbids is told. See `README.md` for what is modelled and what is not, and `CHANGES.md`
+//! ignores or forbids is reported. See `README.md` for what is modelled and what is not, and `CHANGES.md`
 //! for what was changed in the model and which section of the manual says so.
 //!
 //! ```text

@@ -114,7 +114,7 @@ pub struct Board {
 const FLASH: u32 = 0x0800_0000;
 /// How many steps between two looks at the processor's faults.
 const LOOK: u32 = 1024;
-/// So many single cycles in a row may be a processor that sleeps.
+/// This many single cycles in a row may be a processor that sleeps.
 const MAY_SLEEP: u32 = 12;
 
 impl Board {

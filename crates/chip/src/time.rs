@@ -5,31 +5,31 @@ pub const TPS: u64 = 25_200_000_000;
 /// Later than everything.
 pub const NEVER: u64 = u64::MAX;
 
-/// Ticks in so many microseconds.
+/// Ticks in this many microseconds.
 #[must_use]
 pub const fn us(n: u64) -> u64 {
     n * (TPS / 1_000_000)
 }
 
-/// Ticks in so many milliseconds.
+/// Ticks in this many milliseconds.
 #[must_use]
 pub const fn ms(n: u64) -> u64 {
     n * (TPS / 1_000)
 }
 
-/// Seconds in so many ticks.
+/// Seconds in this many ticks.
 #[must_use]
 pub fn seconds(ticks: u64) -> f64 {
     ticks as f64 / TPS as f64
 }
 
-/// Microseconds in so many ticks.
+/// Microseconds in this many ticks.
 #[must_use]
 pub fn micros(ticks: u64) -> f64 {
     seconds(ticks) * 1e6
 }
 
-/// Whole nanoseconds in so many ticks.
+/// Whole nanoseconds in this many ticks.
 #[must_use]
 pub fn nanos(ticks: u64) -> u64 {
     (u128::from(ticks) * 1_000_000_000 / u128::from(TPS)) as u64

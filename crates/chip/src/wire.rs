@@ -33,7 +33,7 @@ pub struct Wire {
     owed: Vec<u8>,
 }
 
-/// A client is given what the board has said when the line falls silent, and after so many bytes at the latest.
+/// A client is given what the board has said when the line falls silent, and after this many bytes at the latest.
 const MOST_AT_ONCE: usize = 256;
 
 impl Wire {

@@ -29,7 +29,7 @@ pub struct Accept {
     /// The same run with it.
     #[arg(long, value_name = "B.csv")]
     on: PathBuf,
-    /// So much of the RMS error must be gone, in percent.
+    /// This much of the RMS error must be gone, in percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 90.0, value_parser = percent)]
     require: f64,
     /// No error may be larger, in µm.

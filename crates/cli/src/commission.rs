@@ -69,7 +69,7 @@ pub struct Commission {
     /// The folder for everything; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// So much of the RMS error must be gone, in percent.
+    /// This much of the RMS error must be gone, in percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 90.0)]
     require: f64,
     /// The speed of the warm-up in r/min; left out, rated_rpm of the machine file.

@@ -45,7 +45,7 @@ pub struct Compare {
 
 /// Half widths (95 %) by which a place is beyond the limit: of some dozens of places none is so by chance.
 const SURE: f64 = 2.0;
-/// So many places are printed; all of them are in the JSON and on the page.
+/// This many places are printed; all of them are in the JSON and on the page.
 const LISTED: usize = 12;
 
 /// Compares the two runs.

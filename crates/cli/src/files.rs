@@ -133,7 +133,7 @@ pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, Bad
     Ok(run)
 }
 
-/// Reads a file of at most so many bytes: a device named by mistake has no end.
+/// Reads a file of at most this many bytes: a device named by mistake has no end.
 pub fn bytes(path: &Path, most: u64) -> Result<Vec<u8>, UserError> {
     bounded::read(path, most)
         .map_err(|error| UserError(format!("{}: {}", path.display(), error.rule)))

@@ -30,7 +30,7 @@ const MOST_BYTES: u64 = 256 << 20;
 ///
 /// The readings are the rows of a record in which measured_…_um has a value: of a probe on a ball or a block, a
 /// tool setter, a laser barrier. Your machine file stays as it is; what was learned is written to another one,
-/// and what is known to a .learn.json beside that. Load the new file when the machine is at rest; what [limits.learned] permits
+/// and what is known to a .learn.json next to that. Load the new file when the machine is at rest; what [limits.learned] permits
 /// trueup linuxcnc --learned tells the bridge while it runs.
 ///
 /// The state belongs to one machine (its serial number, else its name) and one quantity. Comments, limits and other keys of
@@ -46,7 +46,7 @@ pub struct Learn {
     /// A record with readings, in the order in which they were taken; - is standard input.
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
-    /// What was probed just now, in µm: a reading beside the last row of the record, which is not older than a minute.
+    /// What was probed just now, in µm: a reading next to the last row of the record, which is not older than a minute.
     #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = finite)]
     reading_um: Option<f64>,
     /// The machine file with what was learned.
@@ -55,7 +55,7 @@ pub struct Learn {
     /// What is learned, where the record measures several quantities.
     #[arg(long)]
     quantity: Option<Quantity>,
-    /// No constant changes by more than so much of itself, in percent.
+    /// No constant changes by more than this much of itself, in percent.
     #[arg(long, value_name = "PERCENT", default_value_t = 100.0 * Limits::default().share, value_parser = above_zero)]
     limit_percent: f64,
     /// Together they change the correction nowhere by more, in µm.

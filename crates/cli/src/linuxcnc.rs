@@ -102,10 +102,10 @@ pub struct LinuxCnc {
     /// Writes what it has to say to this file too: LinuxCNC keeps it from the screen.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs beside what is probed.
+    /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs next to what is probed.
     #[arg(long, value_name = "RUN.csv", requires = "machine")]
     record: Option<PathBuf>,
-    /// What trueup learn has written beside the machine file: as far as [limits.learned] permits, the bridge is told
+    /// What trueup learn has written next to the machine file: as far as [limits.learned] permits, the bridge is told
     /// of it while it runs, and again after each change of this file. What it cannot be told needs the file loaded, at rest.
     /// Without this the bridge is told that nothing was learned.
     #[arg(long, value_name = "LEARNED.toml", requires = "machine")]
@@ -246,7 +246,7 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Looks after the learned file beside the loop, which has no time to read files.
+/// Looks after the learned file next to the loop, which has no time to read files.
 fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {

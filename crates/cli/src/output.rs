@@ -17,7 +17,7 @@ use crate::UserError;
 static IS_TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// Writes `path` by `write`. Until that has succeeded nothing at `path` is changed: what is written
-/// stands in a file beside it, which then takes its name.
+/// stands in a file next to it, which then takes its name.
 ///
 /// `inputs` are never written over. The path `-` is standard output; what a command says of its own goes to
 /// standard error from then on.

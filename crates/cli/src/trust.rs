@@ -34,7 +34,7 @@ pub struct Watch {
     /// What to look at, where the records measure several quantities.
     #[arg(long)]
     quantity: Option<Quantity>,
-    /// So many hours of records pass on average between two false alarms.
+    /// This many hours of records pass on average between two false alarms.
     #[arg(long, value_name = "HOURS", default_value_t = 1000.0, value_parser = above_zero)]
     false_alarm_h: f64,
 }

@@ -1,4 +1,4 @@
-//! What the CNC says to the bridge, where it can be heard: on a CAN bus, not on the bridge's own
+//! What the CNC says to the bridge, where it can be received: on a CAN bus, not on the bridge's own
 //! serial line.
 
 use trueup_core::{
@@ -16,7 +16,7 @@ pub(crate) const COLUMNS: [&str; 8] =
 const DECIMALS: [usize; VALUES] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
 const VALUES: usize = COLUMNS.len() + 2;
 
-/// What the CNC has said, where it can be heard: the values of its columns of a run file and two angles, and when.
+/// What the CNC has said, where it can be received: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
 pub struct Cnc {
     receiver: Receiver,

@@ -12,7 +12,7 @@
 //! | [`mod@holder`] | which other program holds the line |
 //! | [`ends`] | both directions of an open line |
 //! | [`line`](mod@line) | a line that is opened again whenever it breaks, for who stays on it |
-//! | [`session`] | one client's time on the line: open, hear, ask, close |
+//! | [`session`] | one client's time on the line: open, receive, ask, close |
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
@@ -26,7 +26,7 @@
 //! | [`writes`] | who has written to the bridge |
 //! | [`remedy`] | what to do about each of the words |
 //! | [`poll`] | an object asked for again and again while frames flow by |
-//! | [`cnc`] | what the CNC says, where it can be heard |
+//! | [`cnc`] | what the CNC says, where it can be received |
 //! | [`record`] | a log of every frame, and a run file for `diagnose` |
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!

@@ -19,7 +19,7 @@ use crate::{
     session::Session,
 };
 
-/// How long the bridge may take to hear that it may be written to.
+/// How long the bridge may take to learn that it may be written to.
 const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the bridge may take to believe a service switch that is closed, after its start.
 const SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
@@ -41,7 +41,7 @@ pub enum Step {
     ReadingBack,
 }
 
-/// Stores the calibration `blob` of this CRC for the next start and reads it back. `progress` hears the
+/// Stores the calibration `blob` of this CRC for the next start and reads it back. `progress` receives the
 /// bytes of each step. What is not stored as it was sent is dropped again.
 ///
 /// # Errors
@@ -144,7 +144,7 @@ pub fn forget_reference(session: &mut Session) -> Result<()> {
     Ok(())
 }
 
-/// Returns the calibration that the bridge runs on; `None`: it has no valid one. `progress` hears how many bytes
+/// Returns the calibration that the bridge runs on; `None`: it has no valid one. `progress` receives how many bytes
 /// have come, and of how many.
 ///
 /// # Errors
@@ -177,7 +177,7 @@ pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
 }
 
 /// Lets the bridge restart; the CRC of the calibration that it then runs on, which should be `wanted`. A
-/// bridge that is slow to hear of its restart still answers for the old one, so one answer is not believed.
+/// bridge that is slow to learn of its restart still answers for the old one, so one answer is not believed.
 ///
 /// # Errors
 /// The bridge does not come back.
@@ -257,7 +257,7 @@ pub(crate) fn link_timeout(session: &mut Session) -> Result<Duration> {
 
 /// Until the bridge is up again: an SLCAN channel has to be opened again.
 fn wait_for_boot(session: &mut Session, deadline: Instant) -> Result<()> {
-    // A board that stores or supervises takes up to 10 ms to hear of it.
+    // A board that stores or supervises takes up to 10 ms to learn of it.
     let restarts = Instant::now() + Duration::from_millis(50);
     while session.next_event(restarts)?.is_some() {}
     session.reopen().context("the bridge does not come back after its restart")?;

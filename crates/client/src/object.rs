@@ -37,7 +37,7 @@ const FAULTS: [At; 2] = [(0x2001, 9), (0x2001, 10)];
 /// How many values the state has, and how many since the faults from 32 on are one of them: a firmware up to 0.2.0 has
 /// its commit there.
 const STATE_VALUES: (At, u32) = ((0x2001, 0), 11);
-/// What a CNC must know beside the offsets, a bit each.
+/// What a CNC must know next to the offsets, a bit each.
 pub const STATE_BITS: At = (0x2001, 6);
 /// Why the board last started.
 pub const RESET_REASON: At = (0x2001, 7);
@@ -130,7 +130,7 @@ const MAX_TEXT: u32 = 256;
 const TRANSFER_TIME: Duration = Duration::from_secs(30);
 const TIME_PER_BYTE: Duration = Duration::from_millis(50);
 
-/// Reads an object. `progress` hears how many bytes have come, and of how many.
+/// Reads an object. `progress` receives how many bytes have come, and of how many.
 ///
 /// A frame may be lost on the line, and reading changes nothing: it is tried twice. No object is read beyond
 /// [`MAX_UPLOAD`] bytes, nor slower than a bridge can be.
@@ -231,7 +231,7 @@ pub fn text(session: &mut Session, at: At) -> Result<String> {
     Ok(one_line(&String::from_utf8_lossy(&bytes)))
 }
 
-/// Writes an object. `progress` hears how many bytes were sent.
+/// Writes an object. `progress` receives how many bytes were sent.
 ///
 /// # Errors
 /// The bridge refuses or does not answer, or the line is broken.

@@ -3,7 +3,7 @@
 //! A bridge is asked while it works, and it may live slower than we do: one that is emulated on a busy PC gets
 //! a part of the time of a real one, and one that writes its flash stands still for a second. So what counts is
 //! *its* time, which its heartbeats tell, ten a second, and the time for which *we* have listened: a program
-//! that was not let run for five seconds has heard nothing in them, and knows nothing.
+//! that was not let run for five seconds has received nothing in them, and knows nothing.
 //!
 //! | given up after | where |
 //! |---|---|

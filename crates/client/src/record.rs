@@ -1,4 +1,4 @@
-//! What the monitor hears, written down: every frame as `candump -l` writes it, and beside it a run
+//! What the monitor receives, written down: every frame as `candump -l` writes it, and next to it a run
 //! file with a row every [`ROW_MS`].
 //!
 //! The log is text, a frame a line, `(seconds.microseconds) interface identifier#data`, which
@@ -6,7 +6,7 @@
 //!
 //! The run file has the columns of any run: `time_s`, `spindle_rpm`, `load_n`, positions, directions,
 //! temperatures; and as columns of their own the offsets, their quality and flags. What is not known
-//! at a row is an empty cell: what the CNC sends can only be heard on a CAN bus, not on the bridge's
+//! at a row is an empty cell: what the CNC sends can only be received on a CAN bus, not on the bridge's
 //! own serial line. Its time is the bridge's, which sends a cycle a millisecond and counts them, so
 //! it is right at any speed of a virtual bridge. With the machine file the temperatures have its
 //! names, and where the board runs its law of the sensor, `sensor_counts` are what the law makes of the
@@ -170,7 +170,7 @@ impl Recorder {
         self.rows
     }
 
-    /// Takes a frame that was heard at this moment.
+    /// Takes a frame that was received at this moment.
     ///
     /// # Errors
     /// A file cannot be written.
@@ -202,7 +202,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// All that was heard stands in the files.
+    /// All that was received stands in the files.
     ///
     /// # Errors
     /// A file cannot be written.

@@ -97,7 +97,7 @@ pub struct SavedBoard {
 }
 
 impl SavedBoard {
-    /// Reads all of it. `progress` hears how many bytes of the calibration have come, and of how many.
+    /// Reads all of it. `progress` receives how many bytes of the calibration have come, and of how many.
     ///
     /// # Errors
     /// The line breaks, or the bridge has no valid calibration.

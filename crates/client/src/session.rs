@@ -1,4 +1,4 @@
-//! One client's time on the bridge's line: open, hear, ask, close.
+//! One client's time on the bridge's line: open, receive, ask, close.
 
 use std::{
     collections::VecDeque,
@@ -167,7 +167,7 @@ impl Session {
     }
 
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
-    /// that hears no CNC.
+    /// that receives no CNC.
     pub fn allow_service(&mut self) {
         self.say(Control { service: true, ..Control::default() });
     }
@@ -199,7 +199,7 @@ impl Session {
     }
 
     /// Sends lines, whose answers come as events. Where the port has no adapter, only frames are
-    /// heard by anyone.
+    /// received by anyone.
     ///
     /// # Errors
     /// The line is broken.
@@ -244,7 +244,7 @@ impl Session {
         }
     }
 
-    /// Closes the channel. Whether the bridge hears of it does not matter to one who leaves.
+    /// Closes the channel. Whether the bridge learns of it does not matter to one who leaves.
     pub fn close(mut self) {
         if self.has_adapter && self.write(client::CLOSE).is_ok() {
             let deadline = Instant::now() + CLOSE_TIMEOUT;

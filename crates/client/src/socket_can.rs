@@ -86,7 +86,7 @@ impl<B: Bus> Read for Reader<B> {
     }
 }
 
-/// Lines with frames go in; others have nobody to hear them.
+/// Lines with frames go in; others have nobody to receive them.
 struct Writer<B> {
     bus: Arc<B>,
     lines: Client,

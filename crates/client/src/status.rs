@@ -27,7 +27,7 @@ pub struct Board {
     lost: u16,
     noise_thousandths: u16,
     faults: u16,
-    /// What a CNC must know beside the offsets.
+    /// What a CNC must know next to the offsets.
     pub state: StateBits,
     reset_reason: ResetReason,
     free_stack: Option<u16>,

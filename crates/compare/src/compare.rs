@@ -7,14 +7,14 @@
 //! Readings that stand alone among the repeats of their place are excluded and listed by line, as in `fit pitch`.
 //!
 //! A place is a position with its direction of approach. The zero of an axis's gauge is arbitrary, so the
-//! mean of all differences is told apart and taken off. What is left is asked, in this order of simplicity,
+//! mean of all differences is distinguished and taken off. What is left is asked, in this order of simplicity,
 //!
 //! ```text
 //! nothing, backlash (w where d < 0), a slope along the axis that moved, both, a curve (another at each place)
 //! ```
 //!
 //! and the law of least BIC is the answer, if it is better than nothing by strong evidence (6, Kass and
-//! Raftery 1995). A curve has a value a place, so it is only told from the others with repeats.
+//! Raftery 1995). A curve has a value a place, so it is only distinguished from the others with repeats.
 
 use serde::Serialize;
 use trueup_machine::{BadInput, Location, RunFile, file::Quantity};

@@ -5,7 +5,7 @@
 //! value = a | a + d  two levels, where BIC has strong evidence (6, Kass and Raftery 1995) for them instead of the line
 //! ```
 //!
-//! "Measure again" is the day on which the constant may have changed by so much that it matters, at the
+//! "Measure again" is the day on which the constant may have changed by this much that it matters, at the
 //! fastest rate that the record allows (|b| and its half interval). What matters is the user's limit, else
 //! what a single measurement can tell: half its own interval, or twice what the line leaves.
 

@@ -30,13 +30,13 @@
 //! elongation to another the offset goes on where it was (`sources`).
 //!
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
-//! errors added up, limits. What a position moves is computed when the position is heard, the tool
+//! errors added up, limits. What a position moves is computed when the position is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
 //! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,667
 //! instructions (median; 2,200 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own):
 //!
-//! | in the tick | | when heard | |
+//! | in the tick | | when received | |
 //! |---|---|---|---|
 //! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 554 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
@@ -347,7 +347,7 @@ impl<'a> Bridge<'a> {
         state.heat.memory(&self.calibration)
     }
 
-    /// Goes on with the heat from before a reset, or from so many steps of 100 ms without power ago; without
+    /// Goes on with the heat from before a reset, or from this many steps of 100 ms without power ago; without
     /// one it is not known, where something has to know it.
     pub fn resume_heat(&self, state: &mut State, memory: &HeatMemory, steps: u32) {
         state.heat.resume(&self.calibration, memory, steps);

@@ -175,7 +175,7 @@ pub struct AxisModel<'a> {
     pub dual: Option<Dual<'a>>,
     /// Its backlash in 1/256 nm, −B of ISO 230-2: the error where it is approached in the negative direction.
     pub backlash: Fine,
-    /// How a reversal is told from dither, and over which travel backlash comes in.
+    /// How a reversal is distinguished from dither, and over which travel backlash comes in.
     pub travel: travel::Config,
     /// Its rapid traverse in 10 nm a millisecond: what it cannot have come to faster is a jump. 0: not judged.
     pub rapid: u32,

@@ -41,7 +41,7 @@ impl Channel {
     ///
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
     /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
-    /// any is taken until so many have agreed: a converter's first results are none, or not yet settled.
+    /// any is taken until this many have agreed: a converter's first results are none, or not yet settled.
     pub fn hear_within(
         &mut self,
         reading: Result<Temperature, Fault>,
@@ -51,7 +51,7 @@ impl Channel {
         // The mean of 20 ms at a rail is no spark.
         let weight = if reading == Err(Fault::AtRail) { FAULT_AFTER_READINGS / 2 } else { 1 };
         let reading = reading.ok();
-        /// So many still count as bad when the last of those that have to agree is heard.
+        /// This many still count as bad when the last of those that have to agree is received.
         const LAST: u8 = 2;
         let before = core::mem::replace(&mut self.before, reading);
         let is_new = self.agreed < FAULT_AFTER_READINGS;

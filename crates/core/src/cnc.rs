@@ -194,7 +194,7 @@ impl Flags {
     pub const SENSOR_FAULT: Self = Self(1 << 2);
     /// Samples are missing: the converter has stopped or was overrun.
     pub const SAMPLES_MISSING: Self = Self(1 << 3);
-    /// The CNC was heard before and is silent now.
+    /// The CNC was received before and is silent now.
     pub const CNC_LOST: Self = Self(1 << 4);
     /// No fresh spindle speed: run-out is averaged over 200 ms, not over revolutions.
     pub const SPEED_UNKNOWN: Self = Self(1 << 5);

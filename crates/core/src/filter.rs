@@ -11,7 +11,7 @@
 //!
 //! A step arrives after two revolutions; the delay is one revolution and half a tick. Below 300 r/min it is 200 ms: in the
 //! millisecond of a stop the reading goes back to what it was 100 ms before, and 200 ms later it is 200 ms behind. A spindle
-//! that loses 5.8 µm of centrifugal growth in its last second is told 0.6 µm too long, for 0.4 s. A
+//! that loses 5.8 µm of centrifugal growth in its last second is reported 0.6 µm too long, for 0.4 s. A
 //! shorter window would not see a whole revolution of a spindle that still turns, and let its run-out through. What is
 //! above 10 kHz at the ADC's pin no digital filter can tell from growth: that is the task of the
 //! two-pole analogue filter before it.
@@ -26,7 +26,7 @@ use crate::{
 /// Codes that are added up to one sample of the 5 kHz stream.
 const CODES_PER_SAMPLE: usize = 4;
 const SAMPLES_PER_TICK: usize = CODES_PER_TICK / CODES_PER_SAMPLE;
-/// The largest sum of so many codes; more count as that.
+/// The largest sum of this many codes; more count as that.
 const FULL_SCALE: u32 = 4 * Code::MAX.0 as u32;
 
 /// The filter and all that it remembers.
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn a_reading_is_a_revolution_old_in_the_millisecond_of_a_stop_100_ms_and_then_200() {
         let mut filter = Filter::new();
-        // Four codes in a millisecond, and so many milliseconds behind.
+        // Four codes in a millisecond, and this many milliseconds behind.
         let mut behind_ms = |tick: u32, speed: u16| {
             let codes = core::array::from_fn(|n| Code((4 * tick + n as u32 / 5) as u16));
             let reading = filter.tick(&codes, Some(Rpm(speed)));

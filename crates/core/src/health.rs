@@ -32,27 +32,27 @@ use crate::{dimensions::CODES_PER_TICK, units::Code};
 pub const LOW_RAIL: Code = Code(8);
 /// Codes from here on are at the upper rail.
 pub const HIGH_RAIL: Code = Code(4087);
-/// So many codes at a rail in a row are a fault, fewer are spikes.
+/// This many codes at a rail in a row are a fault, fewer are spikes.
 pub const FAULT_AFTER_CODES: u16 = 4;
-/// A code at a rail outweighs so many good ones: a sensor that lies at a rail in more than a fifth of
+/// A code at a rail outweighs this many good ones: a sensor that lies at a rail in more than a fifth of
 /// its codes is there, and noise takes it off at times.
 const GOOD_PER_RAIL: u16 = 4;
 const RAILED: u16 = FAULT_AFTER_CODES * GOOD_PER_RAIL;
-/// So many good codes in a row end a fault: 10 ms.
+/// This many good codes in a row end a fault: 10 ms.
 pub const GOOD_AFTER_CODES: u16 = 200;
 /// Within it a code follows from the one before, 50 µs ago: 32 codes are 3.9 µm, or 78 mm/s. Run-out of 5 µm at 24,000
 /// r/min makes 5, and two readings with a noise of three codes RMS are 27 apart once in 10¹⁰.
 pub const REACH: u16 = 32;
-/// A level is another one, and no spike, once so many codes have followed from its first.
+/// A level is another one, and no spike, once this many codes have followed from its first.
 const FOLLOWING: u8 = 3;
-/// So many wild codes, less a fourth of the good ones, are a fault: a step of the whole range has ten, in which the
+/// This many wild codes, less a fourth of the good ones, are a fault: a step of the whole range has ten, in which the
 /// analogue low-pass takes it there.
 const WILD_CODES: u16 = 20;
 const WILD: u16 = WILD_CODES * GOOD_PER_RAIL;
-/// A jump is told until so many codes have been good: 100 ms, many turns of what looks for it.
+/// A jump is reported until this many codes have been good: 100 ms, many turns of what looks for it.
 const JUMP_TOLD_CODES: u16 = 2_000;
 
-/// The squared second differences of a block stand out above so many times their mean. By noise alone with a
+/// The squared second differences of a block stand out above this many times their mean. By noise alone with a
 /// probability below e^(4.7 − 12·120/40) = 10⁻¹³ (Chernoff, over the eigenvalues of the squares' form, 16 at the most).
 const OUTSTANDING: u32 = 12;
 /// And above those of a machine that shakes by 10 µm at 1 kHz, twice: 82 codes·(2π·50 µs·1 kHz)² are 8 codes each way.
@@ -61,10 +61,10 @@ const SHAKING: u32 = 1_280;
 /// become the measure of itself.
 const NOISIEST: u32 = 2_400;
 
-/// So many equal codes in a row are a frozen converter: 200 ms.
+/// This many equal codes in a row are a frozen converter: 200 ms.
 pub const FROZEN_AFTER_CODES: u16 = 4_000;
 
-/// A sensor is not known to be lively: so many blocks with a change have to outweigh those without, 1 s.
+/// A sensor is not known to be lively: this many blocks with a change have to outweigh those without, 1 s.
 const NOT_LIVELY: u16 = 1_000;
 /// Up to here it is: below the blocks of a freeze that is being counted, and above what the still blocks of
 /// noise of 0.3 codes reach by chance (a walk that steps up with 14 %: (0.14/0.86)⁴⁰ = 10⁻³²).

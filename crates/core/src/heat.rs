@@ -177,7 +177,7 @@ impl Heat {
         memory
     }
 
-    /// Goes on from before a reset, or so many steps of 100 ms later. Where a law that remembers finds nothing,
+    /// Goes on from before a reset, or this many steps of 100 ms later. Where a law that remembers finds nothing,
     /// the heat is not known until what can be left of the error is `LEFT_NM`.
     pub fn resume(&mut self, calibration: &Calibration<'_>, memory: &HeatMemory, steps: u32) {
         let mut slowest = 0;
@@ -211,7 +211,7 @@ impl Heat {
         self.known.has_all(axes)
     }
 
-    /// The terms over time have begun so many steps ago.
+    /// The terms over time have begun this many steps ago.
     pub fn run_ahead(&mut self, calibration: &Calibration<'_>, term: usize, steps: u32) {
         for _ in 0..steps {
             self.terms.step(&calibration.terms, term, &[None; CHANNELS], None, true);

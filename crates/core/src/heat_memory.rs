@@ -69,7 +69,7 @@ pub struct HeatMemory {
 }
 
 impl KeptLag {
-    /// Returns the same after so many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle
+    /// Returns the same after this many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle
     /// stood, and what had grown since the start went back as fast. What follows a temperature makes up for them with
     /// the first that it sees. The same at once after none: a reset is no stop.
     #[must_use]

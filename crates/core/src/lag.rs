@@ -82,7 +82,7 @@ impl Lag {
         }
     }
 
-    /// So many steps pass in which its input is not seen. What it sees next counts for them.
+    /// This many steps pass in which its input is not seen. What it sees next counts for them.
     ///
     /// ```
     /// use trueup_core::lag::{Lag, SmoothingFactor};
@@ -132,7 +132,7 @@ impl Lag {
         self.state = self.state.wrapping_add(scaled_by_q32(difference, smoothing.0));
     }
 
-    /// Follows `x`, which has held over so many steps.
+    /// Follows `x`, which has held over this many steps.
     #[cold]
     #[inline(never)]
     pub fn follow(&mut self, x: i32, smoothing: SmoothingFactor, steps: u32) {

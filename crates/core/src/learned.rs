@@ -37,7 +37,7 @@ const UNIT_Q32: i32 = 42_950;
 pub struct Change {
     /// Which part, 1…5 in the order of [`PARTS`]; 0: nothing is asked for.
     pub part: u8,
-    /// By so much is it to be more: in 10⁻⁵ of itself, the zero in nm.
+    /// By this much is it to be more: in 10⁻⁵ of itself, the zero in nm.
     pub amount: i16,
     /// The lower half of the CRC of the calibration that it is a change of.
     pub calibration: u16,

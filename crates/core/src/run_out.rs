@@ -26,7 +26,7 @@ const CODES: u32 = CODES_PER_TICK as u32;
 const WINDOW_BITS: u32 = 10;
 /// Milliseconds of a mean.
 pub const WINDOW_MS: u16 = 1 << WINDOW_BITS;
-/// So many means are asked for the least: a spindle may need as long to reach its speed.
+/// This many means are asked for the least: a spindle may need as long to reach its speed.
 pub const FAMILY_WINDOWS: u8 = 16;
 /// An amplitude of half the family's or less is a quarter of its square.
 const LEAST_SHARE: u32 = 4;
@@ -34,7 +34,7 @@ const LEAST_SHARE: u32 = 4;
 const MOST_SHARE: u32 = 16;
 /// Half the square of an amplitude of 41 codes (5 µm), in 1/256 codes².
 const CUTTING: u32 = 41 * 41 / 2 * 256;
-/// So many means in a row have to be odd.
+/// This many means in a row have to be odd.
 const ODD_WINDOWS: u8 = 2;
 
 /// What was seen of the run-out at the present speed.

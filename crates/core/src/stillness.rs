@@ -8,14 +8,14 @@
 //! row (by noise of half a step alone 0.52⁴⁰⁰), it is still.
 //!
 //! Noise that comes from outside, a drive's, ends with the drive, and for all thermometers at once. So one that is
-//! still counts as stuck only beside another that is lively and has changed of late ([`crate::channels::Channels::hear`]);
+//! still counts as stuck only next to another that is lively and has changed of late ([`crate::channels::Channels::hear`]);
 //! a board with one thermometer never says so.
 
 use crate::units::Temperature;
 
-/// So many equal readings in a row, 40 s: no noise that was seen does that.
+/// This many equal readings in a row, 40 s: no noise that was seen does that.
 pub const STILL_READINGS: u16 = 400;
-/// A swing outweighs so many readings without one.
+/// A swing outweighs this many readings without one.
 const PER_SWING: u16 = 23;
 /// As far as the weight goes: a minute of noise of one step RMS brings it there.
 const MOST: u16 = 1_000;
@@ -88,7 +88,7 @@ mod tests {
     use crate::channels::Channels;
     extern crate std;
 
-    /// Readings in steps of a converter: one in so many is two steps off, after one that is one.
+    /// Readings in steps of a converter: one in this many is two steps off, after one that is one.
     fn noisy(n: u32, one_in: u32) -> Option<Temperature> {
         let steps = if n.is_multiple_of(one_in) { 2 } else { i32::from(n % one_in == 1) };
         Some(Temperature(20_000 + 100 * steps))

@@ -22,14 +22,14 @@ use crate::{set::IndexSet, thermometer::FAULT_AFTER_READINGS, units::Temperature
 pub const DEFAULT_TENTHS: u16 = 100;
 /// The largest limit, in tenths of a kelvin a minute: 600 K/min, a bare element in flowing coolant.
 pub const MAX_TENTHS: u16 = 6_000;
-/// After so many readings within the limit a value that came too fast is believed: 60 s.
+/// After this many readings within the limit a value that came too fast is believed: 60 s.
 pub const STEADY_READINGS: u16 = 600;
-/// A doubt that has lasted for so many readings is a broken thermometer: 5 min.
+/// A doubt that has lasted for this many readings is a broken thermometer: 5 min.
 pub const GIVEN_UP_READINGS: u16 = 3_000;
 /// Thermometers of one law agree within this.
 pub const AGREES_WITHIN: Temperature = Temperature(3 * Temperature::PER_KELVIN);
 
-/// Readings in ten minutes: a tenth of a kelvin a minute is one kelvin in so many.
+/// Readings in ten minutes: a tenth of a kelvin a minute is one kelvin in this many.
 const READINGS_PER_TEN_MINUTES: i32 = 6_000;
 
 /// How fast a channel may change.
@@ -62,7 +62,7 @@ impl RateLimit {
         self.per_reading != 0
     }
 
-    /// Returns how far a reading may be from a value that was tracked so many readings ago.
+    /// Returns how far a reading may be from a value that was tracked this many readings ago.
     fn reach(&self, readings: u16) -> u32 {
         let moved = self.per_reading.saturating_mul(readings.min(STEADY_READINGS).into());
         self.tolerance.saturating_add(moved).unsigned_abs()

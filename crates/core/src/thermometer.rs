@@ -17,7 +17,7 @@ use crate::{
     units::{MicroOhms, Temperature},
 };
 
-/// A channel is given up after so many bad readings in a row, 100 ms apart.
+/// A channel is given up after this many bad readings in a row, 100 ms apart.
 pub const FAULT_AFTER_READINGS: u8 = 4;
 
 /// What a temperature channel delivers: micro-ohms of a PT100, 1/256 counts of a linear chain.

@@ -1,6 +1,6 @@
 //! How long a revolution is, in samples of the 5 kHz stream, ready to average over.
 //!
-//! W = 60 s/min · 5000 Hz / n samples, Q16, with its reciprocal 2⁴⁹/W beside it, so that the
+//! W = 60 s/min · 5000 Hz / n samples, Q16, with its reciprocal 2⁴⁹/W next to it, so that the
 //! averages need no division. W lies between 4.58 samples (65 535 r/min) and 1000 samples
 //! (300 r/min); slower spindles, a standing one and an unknown speed use the 200 ms of 300 r/min.
 //! Rounding W to 2⁻¹⁶ of a sample and the reciprocal to an integer costs at most 1.1·10⁻⁷ and
@@ -47,7 +47,7 @@ impl Window {
     /// a speed that changes costs 49 (`cargo measure`). It has none for a division of 64 bits.
     const fn of(speed: Rpm) -> Self {
         const SAMPLES_PER_MINUTE: u32 = 60 * AVERAGED_HZ;
-        /// Any width is shorter than a word by so many places.
+        /// Any width is shorter than a word by this many places.
         const SPARE: u32 = 6;
         // Widening; `From` is not const.
         let speed = speed.0 as u32;

@@ -59,7 +59,7 @@ fn greeting() -> impl Strategy<Value = Vec<Command>> {
     })
 }
 
-/// A while in which everything stays alike: what is heard before each tick and what each brings.
+/// A while in which everything stays alike: what is received before each tick and what each brings.
 #[derive(Clone, Debug)]
 struct Phase {
     ticks: u32,

@@ -25,7 +25,7 @@ use crate::{
     table::without_readings,
 };
 
-/// Up to so many readings without a clock each is left out in turn; of more, whole parts.
+/// Up to this many readings without a clock each is left out in turn; of more, whole parts.
 const SINGLY: usize = 30;
 /// Parts that are left out in turn: the rule of a diagnosis for what may be claimed (`docs/reference.md`).
 const PARTS: usize = 6;

@@ -1,8 +1,8 @@
 //! Act two: the hidden fault. The bridge runs a shift with the file that its user believes; its own
-//! record beside a gauge goes to the diagnosis; the extended file is compiled, loaded, and the machine runs
-//! another day. Whatever comes out is told, right or wrong.
+//! record next to a gauge goes to the diagnosis; the extended file is compiled, loaded, and the machine runs
+//! another day. Whatever comes out is reported, right or wrong.
 //!
-//! A shift of hours is played in minutes of the board: the machine's clock runs so many times as fast as
+//! A shift of hours is played in minutes of the board: the machine's clock runs this many times as fast as
 //! the board's, and the time constants in the calibration are as much shorter. The record is in the
 //! machine's time.
 
@@ -331,7 +331,7 @@ impl Day<'_> {
         Ok(left)
     }
 
-    /// Returns the bridge's own record with the gauge beside it, as the monitor writes it: the gauge sees what the
+    /// Returns the bridge's own record with the gauge next to it, as the monitor writes it: the gauge sees what the
     /// offsets leave.
     fn recorded(
         &self,

@@ -17,7 +17,7 @@ const LARGEST_UM: f64 = 4_000.0;
 const DEFAULT_C_PER_MIN: f64 = thermal_rate::DEFAULT_TENTHS as f64 / 10.0;
 /// The largest rate that a file may state, in K/min.
 const MOST_C_PER_MIN: f64 = thermal_rate::MAX_TENTHS as f64 / 10.0;
-/// The board has so many temperature channels.
+/// The board has this many temperature channels.
 const CHANNELS: i64 = 8;
 
 /// Returns the machine file `source` with all inputs that the board needs to be played `run`: a sensor where

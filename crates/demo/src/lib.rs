@@ -33,5 +33,5 @@ pub mod say;
 pub mod summary;
 pub mod table;
 
-/// Hears what is being done, and how far it is, 0…1 (NaN: as before).
+/// Receives what is being done, and how far it is, 0…1 (NaN: as before).
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;

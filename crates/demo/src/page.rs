@@ -5,7 +5,7 @@ use trueup_page::{Bars, Chart, Colour, Page, Series, Table, micrometres, signifi
 
 use crate::{act_one::ActOne, act_two::ActTwo, say};
 
-/// A difference of BIC from which two causes are clearly told apart.
+/// A difference of BIC from which two causes are clearly distinguished.
 const CLEAR: f64 = 6.0;
 /// A table shows no more rows than that.
 const MOST_ROWS: usize = 40;

@@ -1,4 +1,4 @@
-//! Whether hidden faults can be told from rival laws, reckoned from what they really do to the record.
+//! Whether hidden faults can be distinguished from rival laws, reckoned from what they really do to the record.
 //!
 //! An answer is a set of laws, fitted together with a constant to all that the hidden faults really do:
 //!
@@ -10,7 +10,7 @@
 //! A right answer has a law of its own for every fault and none that belongs to no fault. Its rivals are the
 //! sets of up to three laws (as many as faults are hidden at most) that stand in its place: one law in the
 //! place of another, a pair in the place of a pair, one in the place of two. What is more than right counts as
-//! well: a law of no fault beside it, which makes up for what the physics does and the laws do not say.
+//! well: a law of no fault next to it, which makes up for what the physics does and the laws do not say.
 //!
 //! The laws are those of physics over the columns of the record; which belongs to which fault follows
 //! from what the fault is. Nothing of a diagnosis is used.
@@ -55,7 +55,7 @@ pub struct Gaps {
     /// By how much the best answer is worse that stands in its place: a fault is not named, or a law of no
     /// fault takes the place of one of its own, with no constant more.
     pub instead: f64,
-    /// By how much the right answer becomes worse by a law of no fault beside it.
+    /// By how much the right answer becomes worse by a law of no fault next to it.
     pub beside: f64,
 }
 
@@ -345,7 +345,7 @@ mod tests {
     use super::*;
     use crate::table::parsed;
 
-    /// Returns a load beside a temperature that goes with it, or does not.
+    /// Returns a load next to a temperature that goes with it, or does not.
     fn gap(is_told: bool, noise_um: f64) -> f64 {
         let mut csv = String::from("time_s,load_n,spindle_rpm,temp_nose_c\n");
         for row in 0..200 {

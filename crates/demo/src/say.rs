@@ -11,7 +11,7 @@ use crate::{
 
 /// A table of more readings is left to the page.
 const MOST_ROWS: usize = 20;
-/// Rivals that are named beside a finding.
+/// Rivals that are named next to a finding.
 const RIVALS: usize = 3;
 
 /// Returns a finding's name, with the column that it hangs on.

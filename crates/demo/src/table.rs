@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use anyhow::Result;
 use trueup_machine::RunFile;
 
-/// Returns the columns of `run`, and `more` beside or in the place of them, as a run file.
+/// Returns the columns of `run`, and `more` next to or in the place of them, as a run file.
 ///
 /// # Errors
 /// None that is known: what was read can be read again.

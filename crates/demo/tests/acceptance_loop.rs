@@ -21,7 +21,7 @@ use trueup_twin::{
 };
 
 const MEASURED: &str = "measured_elongation_um";
-/// The machine's clock runs so many times as fast as the board's.
+/// The machine's clock runs this many times as fast as the board's.
 const FASTER: f64 = 100.0;
 /// Hours of a warm-up, from cold.
 const HOURS: f64 = 5.0;

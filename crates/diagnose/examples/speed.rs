@@ -23,7 +23,7 @@ use trueup_diagnose::diagnose;
 use trueup_machine::{MachineFile, RunFile};
 
 const ROWS: [usize; 3] = [10_000, 100_000, 1_000_000];
-/// Times that each version is timed beside another one; once of the longest run.
+/// Times that each version is timed next to another one; once of the longest run.
 const TURNS: usize = 5;
 /// Thermometers that have nothing to do with anything.
 const IDLE: usize = 13;
@@ -46,7 +46,7 @@ impl Drawn {
     }
 }
 
-/// Returns a run of so many rows, the same record whether it was taken often or seldom.
+/// Returns a run of this many rows, the same record whether it was taken often or seldom.
 fn write(path: &Path, kind: &str, rows: usize) -> std::io::Result<()> {
     let (is_axis, has_more) = (kind == "axis", kind == "five-causes");
     let mut out = BufWriter::new(fs::File::create(path)?);
@@ -142,7 +142,7 @@ fn of_process(
     Ok((next().parse()?, next().parse()?, next().into()))
 }
 
-/// Times beside those of the same example of another version.
+/// Times next to those of the same example of another version.
 fn beside(other: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let path = scratch();
     let here = env::current_exe()?;

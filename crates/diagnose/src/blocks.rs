@@ -54,7 +54,7 @@ impl fmt::Display for Unit {
 const STRETCHES: usize = 6;
 /// Whole runs that are left out in turn, at least: of two, one would have to tell all that the other is judged by.
 const FEWEST_RUNS: usize = 3;
-/// Stretches of equal length, beside those: one cut through a record may fall well or badly for a term, two of
+/// Stretches of equal length, next to those: one cut through a record may fall well or badly for a term, two of
 /// different kinds seldom do alike.
 const PLAIN: usize = 5;
 
@@ -69,7 +69,7 @@ impl Folds {
         Self::with_runs_from(problem, 0.0, 2)
     }
 
-    /// Whole runs are left out where there are at least so many.
+    /// Whole runs are left out where there are at least this many.
     fn with_runs_from(problem: &Problem, memory: f64, fewest_runs: usize) -> Self {
         let groups = &problem.groups;
         let count = groups.len();
@@ -220,7 +220,7 @@ fn left_out_of(
     of_group: &[usize],
     count: usize,
 ) -> Arc<(Vec<f64>, Vec<Model>)> {
-    // So many folds are the same ones in one problem.
+    // This many folds are the same ones in one problem.
     let what = format!("{count} folds left out");
     problem.known(&what, model, || each_left_out(problem, model, of_group, count))
 }

@@ -295,7 +295,7 @@ fn varying(data: &Data, column: &str) -> bool {
     named(data, column).is_some_and(|values| spread(values) > 0.0)
 }
 
-/// Curves over each column: no causes, but tests of structure. Beside them what no single column
+/// Curves over each column: no causes, but tests of structure. Next to them what no single column
 /// shows: a curve over one position that grows with another (an angle of a guide, times an arm), a
 /// growth that is another one at other speeds, what comes and goes after a reversal.
 pub(crate) fn structure(problem: &Problem) -> Vec<Candidate> {

@@ -31,13 +31,13 @@ const MOST_GROUPS: usize = 1000;
 /// Groups that are left where rows are put together for a late thermometer.
 const FEWEST_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
-/// more rows so many are drawn by chance. The last fit is to all of them.
+/// more rows this many are drawn by chance. The last fit is to all of them.
 const MOST_ROWS_MOVING: usize = 3000;
 
 /// What is being tried, and how far the search has come, 0…1 (NaN: as before).
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
 
-/// What is asked of a diagnosis beside its files.
+/// What is asked of a diagnosis next to its files.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
     /// What to compare, where the runs measure several quantities.
@@ -210,7 +210,7 @@ fn searched(
 
 /// Rows over which the slope of a late thermometer was taken, where they are more than are together already.
 ///
-/// What a mean of rows grows by is the mean of their slopes, noise and bends and all: in groups of so many rows the
+/// What a mean of rows grows by is the mean of their slopes, noise and bends and all: in groups of this many rows the
 /// lag is undone from row to row, exactly, with as little noise as by a slope over all of them, which blurs what
 /// happens in that time.
 fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {

@@ -1,4 +1,4 @@
-//! What a term of a model is: a cause as its page has it, with its fitted values beside it; or a curve,
+//! What a term of a model is: a cause as its page has it, with its fitted values next to it; or a curve,
 //! which is no cause.
 //!
 //! The values are first those that enter nonlinearly (a time constant, a period, a limit), then
@@ -96,12 +96,12 @@ impl Kind {
         self.cause().is_some_and(Effect::has_time_constant)
     }
 
-    /// Returns whether it settles from the start of the record on, whatever is measured beside it.
+    /// Returns whether it settles from the start of the record on, whatever is measured next to it.
     pub(crate) fn is_from_the_start(&self) -> bool {
         self.has_time_constant() && self.cause().is_some_and(Effect::is_in_time)
     }
 
-    /// Returns whether it goes with something that was measured or commanded beside the quantity: not with time
+    /// Returns whether it goes with something that was measured or commanded next to the quantity: not with time
     /// alone, nor bent with the prediction, nor a constant.
     pub(crate) fn has_own_input(&self) -> bool {
         self.cause().is_none_or(|effect| {
@@ -232,7 +232,7 @@ impl Kind {
         self.cause().is_some_and(Effect::has_phase)
     }
 
-    /// Returns whether it comes and goes with the clock: beside a law that is missing, it follows whatever drives that.
+    /// Returns whether it comes and goes with the clock: next to a law that is missing, it follows whatever drives that.
     pub(crate) fn is_by_the_clock(&self) -> bool {
         matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
     }

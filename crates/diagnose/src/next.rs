@@ -78,7 +78,7 @@ pub struct Stretch {
 /// What a run will tell of two causes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Told {
-    /// The cause that was named, and the one that cannot be told from it.
+    /// The cause that was named, and the one that cannot be distinguished from it.
     pub causes: [String; 2],
     /// How far their predictions come apart at most, in µm.
     pub difference_um: f64,
@@ -100,7 +100,7 @@ pub struct Next {
     pub minutes: f64,
     /// From reading to reading of a spindle, in s; 0: an axis is read at its targets.
     pub every_s: f64,
-    /// What is to be read beside what is measured: the columns of the runs.
+    /// What is to be read next to what is measured: the columns of the runs.
     pub inputs: Vec<String>,
     /// What it tells, the question first that it was chosen for.
     pub told: Vec<Told>,
@@ -113,7 +113,7 @@ pub enum NoNext {
     NothingOpen,
     /// The runs lack what a run is described by: time and speed of a spindle, position and direction of an axis.
     NotForeseen(&'static str),
-    /// None of the runs that were thought of tells them apart: the causes, and the largest gap.
+    /// None of the runs that were thought of distinguishes them: the causes, and the largest gap.
     NotApart([String; 2], f64),
 }
 
@@ -143,7 +143,7 @@ impl fmt::Display for NoNext {
 }
 
 impl Next {
-    /// Nothing yet, with these columns beside it.
+    /// Nothing yet, with these columns next to it.
     fn of(inputs: Vec<String>) -> Self {
         let (stretches, told) = (Vec::new(), Vec::new());
         Self { stretches, axis: None, minutes: 0.0, every_s: 0.0, inputs, told }

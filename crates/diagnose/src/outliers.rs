@@ -31,7 +31,7 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     strays(data, predicted, &found)
 }
 
-/// Neighbours farther away in time than so many times the median say nothing of a reading.
+/// Neighbours farther away in time than this many times the median say nothing of a reading.
 const NEAR: f64 = 2.0;
 
 /// The rows that are set aside.
@@ -228,7 +228,7 @@ fn same_side(far: &[usize], residual: &[f64]) -> f64 {
     share * share + (1.0 - share) * (1.0 - share)
 }
 
-/// Neighbours are told from chance at 1 %.
+/// Neighbours are distinguished from chance at 1 %.
 const CHANCE: f64 = 0.01;
 
 /// Returns the instrument's last digit: the smallest step between readings, but for the rarest.

@@ -13,7 +13,7 @@ const HOTTEST_C: f64 = 150.0;
 pub(crate) struct Extended {
     /// In the place of the file's terms of these numbers, from 0.
     pub replaced: Vec<(usize, Term)>,
-    /// Beside them.
+    /// Next to them.
     pub new: Vec<Term>,
 }
 

@@ -14,7 +14,7 @@ use std::f64::consts::TAU;
 
 use trueup_numerics::{fourier, parallel::on_all_cores, random::Generator};
 
-/// Beyond so many the positions are as dense as those of a continuous record, and lie on no grid.
+/// Beyond this many the positions are as dense as those of a continuous record, and lie on no grid.
 const MOST_FREQUENCIES: usize = 40_000;
 
 /// Returns the frequency of the highest peak of `values` over `at`, with at least `least_turns` over the

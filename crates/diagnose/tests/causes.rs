@@ -94,7 +94,7 @@ fn a_drift_from_run_to_run_needs_no_clock_but_three_runs() {
     assert!(!names(&of_two).contains(&"drift".to_string()));
 }
 
-/// A map of so many places each way, three times over: two curves, each of its own guide.
+/// A map of this many places each way, three times over: two curves, each of its own guide.
 #[test]
 fn two_guides_that_are_not_straight_are_both_found_on_a_map() {
     for places in [7, 9] {

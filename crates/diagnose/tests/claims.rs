@@ -1,4 +1,4 @@
-//! A claim stands on its own feet: made records in which a name would be a guess, and beside each one in
+//! A claim stands on its own feet: made records in which a name would be a guess, and next to each one in
 //! which it is not.
 
 use std::{f64::consts::TAU, path::Path};

@@ -1,4 +1,4 @@
-//! Backlash that goes with the feed is told from backlash that does not, with a width for each feed, and
+//! Backlash that goes with the feed is distinguished from backlash that does not, with a width for each feed, and
 //! what the feeds cost that are not corrected.
 
 use std::path::Path;
@@ -59,7 +59,7 @@ fn what_the_bridge_corrects_is_the_width_of_one_feed_and_the_others_cost_is_told
     let diagnosis = answer(&challenge);
     let report = &diagnosis.report;
     let after = &report.after;
-    // It does not hear the feed: less is gained than is explained, but more than nothing.
+    // It does not receive the feed: less is gained than is explained, but more than nothing.
     assert!(after.compensated_holdout_rms_um > 1.5 * after.holdout_rms_um, "{after:?}");
     assert!(after.compensated_holdout_rms_um < report.before.holdout_rms_um, "{after:?}");
     let said = finding(&report.findings, CAUSE).expect("it is claimed").evidence.join(" ");

@@ -54,7 +54,7 @@ fn the_sjtu_spindle_lags_behind_its_bearing_and_the_table_moves_it() {
     let diagnosis = diagnosed(&machine, &[part(&path, 0..3000)], &[part(&path, 3000..5000)]);
     let report = &diagnosis.report;
     assert!(causes(&diagnosis).contains(&"thermal-lag"));
-    // By itself, or together with another that it cannot be told from.
+    // By itself, or together with another that it cannot be distinguished from.
     let named = report.findings.iter().flat_map(|finding| {
         let partners = finding.together_with.iter().map(|it| (&it.cause, &it.column));
         partners.chain([(&finding.cause, &finding.column)])

@@ -143,7 +143,7 @@ fn a_lag_that_only_smooths_its_thermometer_is_not_claimed() {
         let judged = Case::healthy(seed).judged();
         assert!(judged.told.claimed.is_empty(), "seed {seed}: {judged}");
     }
-    // Nor is it left in the answer, where what stands beside it would be open.
+    // Nor is it left in the answer, where what stands next to it would be open.
     let judged = Case::draw(221).judged();
     assert!(judged.told.is_right() && judged.told.open.is_empty(), "{judged}");
 }

@@ -19,7 +19,7 @@ fn diagnosed(machine: &str, text: &str) -> Diagnosis {
     diagnose(&machine, &[read(text)], &[], None, &mut |_, _| {}).expect("comparable")
 }
 
-/// 300 rows of noise of 0.5 µm with a memory of so many rows, under a load that comes and goes and bends
+/// 300 rows of noise of 0.5 µm with a memory of this many rows, under a load that comes and goes and bends
 /// the tool by an error of `hidden_um` RMS.
 fn loaded(hidden_um: f64, memory_rows: f64, seed: u64) -> String {
     let mut noise = Generator::new(seed);
@@ -37,7 +37,7 @@ fn loaded(hidden_um: f64, memory_rows: f64, seed: u64) -> String {
     text
 }
 
-/// Of so many clean runs whose answer promises a size, how many show an error of `share` of it; clean runs are
+/// Of this many clean runs whose answer promises a size, how many show an error of `share` of it; clean runs are
 /// at least nine of ten.
 fn found(share: f64, memory_rows: f64, seeds: u64) -> (u64, u64) {
     let (mut found, mut promised, mut clean) = (0, 0, 0);

@@ -67,7 +67,7 @@ fn what_is_written_foresees_another_day_whichever_rows_are_shown() {
         let (before, after) =
             (report.before.holdout_rms_um, report.after.compensated_holdout_rms_um);
         assert!(after < 0.06 * before, "every {every}: {before} -> {after}, {:?}", report.reasons);
-        // Where no name is told from the others, what is written does not depend on that.
+        // Where no name is distinguished from the others, what is written does not depend on that.
         open += report.findings.iter().filter(|it| it.compensated && !it.claimed).count();
     }
     assert!(open > 1, "each record has told all names");

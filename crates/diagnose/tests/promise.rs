@@ -38,7 +38,7 @@ fn diagnosed(run: RunFile) -> Diagnosis {
     diagnose(&machine, &[run], &[], None, &mut |_, _| {}).expect("comparable")
 }
 
-/// A thermometer whose noise is more than the gauge's: lags that only average it are not named, for beside
+/// A thermometer whose noise is more than the gauge's: lags that only average it are not named, for next to
 /// them the growth would have another size.
 #[test]
 fn what_only_averages_noise_is_not_named() {

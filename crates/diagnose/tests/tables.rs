@@ -43,7 +43,7 @@ fn diagnosed(name: &str, holdout: Option<&str>) -> Option<Diagnosis> {
     Some(diagnosis)
 }
 
-/// A table is claimed and handed out, and leaves at most so much.
+/// A table is claimed and handed out, and leaves at most this much.
 fn has_table(diagnosis: &Diagnosis, most_um: f64) {
     let report = &diagnosis.report;
     let table = report.findings.iter().find(|finding| finding.cause == "pitch-error");
@@ -158,7 +158,7 @@ fn fit_pitch_and_diagnose_correct_the_same_drawn_axes() {
     for draw in 0..120 {
         let (targets, cycles) = (5 + dice.below(6), 2 + dice.below(4));
         let has_both_ways = dice.below(3) > 0;
-        // Beside a noise of 1 µm.
+        // Next to a noise of 1 µm.
         let size_um = [0.0, 0.3, 1.0, 3.0, 10.0][dice.below(5)];
         let error: Vec<[f64; 2]> =
             (0..targets).map(|_| [0, 1].map(|_| size_um * dice.normal())).collect();

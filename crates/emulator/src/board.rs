@@ -2,7 +2,7 @@
 //!
 //! The host puts blocks into a pipe, rings, and gets back the CAN frames that they caused, so both
 //! stay in step however fast or slow either is. The serial line is QEMU's own, a byte stream that
-//! lives beside it.
+//! lives next to it.
 
 use std::{
     collections::VecDeque,
@@ -155,7 +155,7 @@ impl VirtualBoard {
         }
     }
 
-    /// A board that starts or restarts says when it is up: rung before, it would not hear.
+    /// A board that starts or restarts says when it is up: rung before, it would not receive.
     fn wait_until_up(&mut self) -> Result<()> {
         let mut ready = [0];
         if self.doorbell.read_exact(&mut ready).is_err() || ready != *b"R" {

@@ -4,7 +4,7 @@
 //! was believed to do: from the bytes of a function the branches are decoded (Armv7-M, `bl`, `b`,
 //! conditional `b`), and where they lead is walked in turn. Data among the code is known by the
 //! image's mapping symbols. A branch whose target is in a register cannot be followed; every
-//! function with one is told ([`Reached::blind`]). For the stack ([`CallGraph::deepest`]) a function that
+//! function with one is reported ([`Reached::blind`]). For the stack ([`CallGraph::deepest`]) a function that
 //! branches by a register may call each one whose address it holds.
 
 use std::{

@@ -95,7 +95,7 @@ impl LiveChip {
         self.tell(&format!("{} {what}\n", self.now_ms))
     }
 
-    /// Lets the board live for so many milliseconds.
+    /// Lets the board live for this many milliseconds.
     ///
     /// # Errors
     /// The model has ended.

@@ -19,7 +19,7 @@ pub struct Cnc<S> {
     client: Client,
     waiting: VecDeque<Event>,
     control_counter: u8,
-    /// The bridge has heard three times that nothing is engaged: it gives no offset before.
+    /// The bridge has received three times that nothing is engaged: it gives no offset before.
     has_begun: bool,
     spindle_counter: u8,
     position_counters: [u8; 3],
@@ -31,7 +31,7 @@ pub struct Cnc<S> {
 
 impl<S: Read + Write> Cnc<S> {
     /// Opens the channel as every SLCAN program does: close, 1 Mbit/s, open. The version is asked
-    /// for in between, because its answer can be told from everything that an earlier client may
+    /// for in between, because its answer can be distinguished from everything that an earlier client may
     /// have left: half a line either way, frames, answers.
     ///
     /// # Errors

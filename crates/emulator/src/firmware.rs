@@ -118,7 +118,7 @@ fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
 }
 
 /// Builds the image of a board and gives its path; for the one that is flashed, its plain bytes
-/// stand beside it (`.bin`).
+/// stand next to it (`.bin`).
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
@@ -161,7 +161,7 @@ fn mark(machine: &Path) -> Result<String> {
 pub fn carried() -> Result<PathBuf> {
     let folder = setup::root().join("target/carried");
     fs::create_dir_all(&folder)?;
-    // The one of the chip has its plain bytes beside it.
+    // The one of the chip has its plain bytes next to it.
     for board in Board::ALL {
         let name = format!("carried-{}", board.feature());
         let image = build_as(board, board.feature(), &name, Linked::Example)?;

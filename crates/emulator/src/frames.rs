@@ -62,7 +62,7 @@ fn wide(first: u32, second: u32) -> u64 {
     match first {
         // push.w
         0xE92D => 4 * u64::from(second.count_ones()),
-        // vpush: so many words, singles or doubles.
+        // vpush: this many words, singles or doubles.
         _ if first & 0xFFBF == 0xED2D && second >> 9 & 7 == 5 => 4 * u64::from(second & 0xFF),
         // str r, [sp, #-n]!
         0xF84D if second >> 8 & 15 == 0b1101 => (second & 0xFF).into(),

@@ -1,5 +1,5 @@
 //! The hand at the CNC of a virtual bridge: what is typed where the bridge was started. From the first
-//! `engage` or `disengage` on the bridge hears a CNC on its bus, homed and with `Engage` or without, where it
+//! `engage` or `disengage` on the bridge receives a CNC on its bus, homed and with `Engage` or without, where it
 //! allows that it is written to; `confirm` answers a question of the bridge; `close` and `open` move the service
 //! switch of the board; `again` plays the run from its start. So that a commissioning can be
 //! rehearsed, whose tool has the only line.
@@ -33,9 +33,9 @@ const PRESSED_MS: u32 = 200;
 #[derive(Clone, Debug, Default)]
 pub struct Hand {
     control: Arc<Mutex<Option<Control>>>,
-    /// So many milliseconds of the board are left in which the CNC is up and has not engaged yet.
+    /// This many milliseconds of the board are left in which the CNC is up and has not engaged yet.
     comes_up_ms: Arc<AtomicU32>,
-    /// So many are left of an edge of `Confirm`.
+    /// This many are left of an edge of `Confirm`.
     confirms_ms: Arc<AtomicU32>,
     again: Arc<AtomicBool>,
     switch_is_closed: Arc<AtomicBool>,

@@ -55,7 +55,7 @@ impl Measured {
     }
 }
 
-/// Builds the image, runs it over so many vectors, and compares.
+/// Builds the image, runs it over this many vectors, and compares.
 ///
 /// # Errors
 /// Something does not build, or the board does not come to its end.

@@ -20,7 +20,7 @@ pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
     [&body[..], &checksum(&body)].concat()
 }
 
-/// Bytes as a script has them, and as the model says what it heard.
+/// Bytes as a script has them, and as the model says what it received.
 #[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     let mut hex = String::new();

@@ -55,7 +55,7 @@ const FREE_BATCH: u32 = 20;
 /// Bytes that may wait for a client, a third of a second: offsets in a queue grow old. When it is
 /// full the board's time stands still until he reads.
 const CLIENT_QUEUE: usize = 16 * 1024;
-/// The board's clock may fall behind by so much before it slips.
+/// The board's clock may fall behind by this much before it slips.
 const LARGEST_BACKLOG_MS: f64 = 200.0;
 
 /// Serves until `stop` is set or the source ends.

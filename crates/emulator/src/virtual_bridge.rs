@@ -18,7 +18,7 @@ use crate::{
     serve::{self, SampleSource},
 };
 
-/// What is asked for beside the machine: the options that both commands have.
+/// What is asked for next to the machine: the options that both commands have.
 #[derive(Args)]
 pub struct Options {
     /// Where the bridge listens for the CNC (SLCAN); port 0 is any free one.

@@ -16,9 +16,9 @@ use trueup_machine::{
 
 use crate::{Options, report::Approach};
 
-/// A period of a periodic error is looked at in so many parts.
+/// A period of a periodic error is looked at in this many parts.
 const PARTS_OF_PERIOD: f64 = 32.0;
-/// And a travel in at most so many.
+/// And a travel in at most this many.
 const MOST_PARTS: f64 = 20_000.0;
 
 /// What one drive corrects along its axis.

@@ -63,7 +63,7 @@ pub enum Series {
     Zero,
 }
 
-/// So many point numbers has an axis.
+/// This many point numbers has an axis.
 pub const MOST_POINTS: usize = 128;
 /// A value is at most this, times the magnification.
 pub const MOST_STEP: i64 = 7;
@@ -71,7 +71,7 @@ pub const MOST_STEP: i64 = 7;
 const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
 /// Spacings are whole multiples of this, in mm (increment system IS-B).
 const SPACING_MM: f64 = 0.001;
-/// A moving axis without a pitch table gets so many sections for its straightness.
+/// A moving axis without a pitch table gets this many sections for its straightness.
 const SECTIONS: usize = 60;
 
 /// Where an axis's points are.

@@ -15,11 +15,11 @@
 
 use crate::report::{Approach, Difference};
 
-/// So many positions at least are compared in each direction.
+/// This many positions at least are compared in each direction.
 const PROBES: usize = 4000;
 
 /// Returns the fewest of the rows `x` whose straight lines stay within `tolerance` of every column, or
-/// `most` of them if that takes more; of all choices of so many rows the one that stays nearest.
+/// `most` of them if that takes more; of all choices of this many rows the one that stays nearest.
 /// Gives the rows, and how far the lines are off at most.
 pub(crate) fn best_rows(
     x: &[f64],
@@ -170,7 +170,7 @@ pub(crate) fn interpolated(points: &[(f64, f64)], at: f64) -> f64 {
     }
 }
 
-/// Positions to compare at: dense over the range, and each of `special_mm`, just beside it, and
+/// Positions to compare at: dense over the range, and each of `special_mm`, just next to it, and
 /// half way to the next. With `beyond`, also a tenth of the range outside, where tables are held.
 pub(crate) fn probes_mm(range_mm: (f64, f64), special_mm: &[f64], beyond: bool) -> Vec<f64> {
     let (first, last) = range_mm;

@@ -35,9 +35,9 @@ pub const MOST_ENTRIES: usize = 256;
 const VALUE_DECIMALS: usize = 4;
 /// Positions to 0.1 µm.
 const POSITION_DECIMALS: usize = 4;
-/// A curve is looked at in so many equal parts before its best points are chosen, …
+/// A curve is looked at in this many equal parts before its best points are chosen, …
 const CANDIDATES: f64 = 1000.0;
-/// … and each of its spans in at least so many.
+/// … and each of its spans in at least this many.
 const CANDIDATES_OF_SPAN: f64 = 16.0;
 
 /// A `.COM` table as the control holds it.

@@ -109,7 +109,7 @@ pub struct Options {
     pub travel_mm: [Option<(f64, f64)>; 3],
     /// A curve gets as many points as keep it so near to the model, in µm; above 0.
     pub tolerance_um: f64,
-    /// At most so many points in a table, at least 2; `None`: the format's own limit.
+    /// At most this many points in a table, at least 2; `None`: the format's own limit.
     pub most_points: Option<usize>,
     /// FANUC's detection unit, in µm; above 0.
     pub unit_um: f64,

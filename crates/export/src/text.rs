@@ -1,6 +1,6 @@
 //! Numbers as controls read them: no exponent, no needless digit, no minus zero.
 
-/// `value` with at most so many decimals.
+/// `value` with at most this many decimals.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
     let mut text = format!("{value:.decimals$}");
     if text.contains('.') {
@@ -9,7 +9,7 @@ pub(crate) fn number(value: f64, decimals: usize) -> String {
     if text == "-0" { "0".to_string() } else { text }
 }
 
-/// `value` with its sign, and at most so many decimals.
+/// `value` with its sign, and at most this many decimals.
 pub(crate) fn signed(value: f64, decimals: usize) -> String {
     let text = number(value, decimals);
     if text.starts_with('-') { text } else { format!("+{text}") }

@@ -36,7 +36,7 @@ impl Random {
         self.next() & 1 == 1
     }
 
-    /// Returns a walk of so many values, in hundredths.
+    /// Returns a walk of this many values, in hundredths.
     fn walk(&mut self, count: usize, step: f64) -> Vec<f64> {
         let mut at = self.between(-5.0, 5.0);
         (0..count)

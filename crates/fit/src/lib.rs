@@ -8,7 +8,7 @@
 //!
 //! | module | does |
 //! |---|---|
-//! | [`straightness`] | a B-spline with few coefficients; [beside other ways](straightness::table1) |
+//! | [`straightness`] | a B-spline with few coefficients; [next to other ways](straightness::table1) |
 //! | [`pitch`] | position errors of an axis and its backlash |
 //! | [`iso230`] | the figures of ISO 230-2 |
 //! | [`bspline`] | the basis, and least squares in it |

@@ -6,7 +6,7 @@
 //! | `resample` | at which points the table stands |
 //! | `table` | a table of equal steps from errors at any targets |
 //! | `judge` | which correction holds on runs that it has not seen |
-//! | `scatter` | how far repeats lie apart, beside how far targets do |
+//! | `scatter` | how far repeats lie apart, next to how far targets do |
 //! | `page` | the figures of ISO 230-2 as a page |
 //! | `summary` | what was found, in a report |
 //! | `backlash` | backlash alone |
@@ -114,7 +114,7 @@ pub enum Ways {
     /// One for each direction only if that gains on runs left out.
     #[default]
     Automatic,
-    /// One for both directions, beside it a backlash if that gains.
+    /// One for both directions, next to it a backlash if that gains.
     One,
     /// One for each direction.
     Both,

@@ -74,7 +74,7 @@ pub struct Options {
     pub method: Method,
     /// The straight line from which the error counts.
     pub reference: ReferenceLine,
-    /// At most so many coefficients; at least 2 and at most [`MOST_COEFFICIENTS`] are used.
+    /// At most this many coefficients; at least 2 and at most [`MOST_COEFFICIENTS`] are used.
     pub most_coefficients: usize,
 }
 

@@ -12,7 +12,7 @@
 //! over T), so that it need not pass through the levels' own noise, and no level need be exactly
 //! constant.
 //!
-//! What cannot be told apart is said: a constant error per metre that the axis has at every
+//! What cannot be distinguished is said: a constant error per metre that the axis has at every
 //! temperature shifts T₀, and so does the arbitrary zero of an instrument where K₀ counts.
 //!
 //! No matrix has a row for each observation and a column for each parameter more than once: a run

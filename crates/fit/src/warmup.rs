@@ -39,7 +39,7 @@ use crate::{
     rows::{self, Rows},
 };
 
-/// A further constant is taken where chance gives its gain less than once in so many.
+/// A further constant is taken where chance gives its gain less than once in this many.
 const SURE: f64 = 0.999;
 /// The smallest exponent that is set where the record does not show one.
 const SET_EXPONENT: f64 = 4.0;

@@ -45,7 +45,7 @@ const SLOPES_LAST: Duration = Duration::from_millis(4_600);
 /// A master that has sent no valid block for so long no longer keeps others out: the link timeout
 /// after which the bridge counts its CNC as lost, by default.
 pub const MASTER_LASTS: Duration = Duration::from_millis(500);
-/// How long a second master is told of.
+/// How long a second master is reported of.
 const TOLD: Duration = Duration::from_secs(2);
 
 /// Blocks that come so soon after one that may be old have waited with it: a line that goes on delivers them at once.
@@ -111,7 +111,7 @@ pub enum Taken {
 }
 
 impl Hub {
-    /// Nothing heard from anyone. Only a bridge that runs on the pinned calibration is engaged.
+    /// Nothing received from anyone. Only a bridge that runs on the pinned calibration is engaged.
     #[must_use]
     pub fn new(pinned: Pinned) -> Self {
         let input = Input {
@@ -302,7 +302,7 @@ impl Hub {
         &self.input
     }
 
-    /// Returns whether the bridge is heard.
+    /// Returns whether the bridge is received.
     #[must_use]
     pub fn hears_bridge(&self, now: Duration) -> bool {
         self.fresh(now).is_some()

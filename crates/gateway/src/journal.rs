@@ -143,7 +143,7 @@ mod tests {
     /// As much as a line says with every member at its longest.
     const FILL: usize = 900;
 
-    /// Writes a day in which the bridge is heard as `is_heard` says; the entries.
+    /// Writes a day in which the bridge is received as `is_heard` says; the entries.
     fn day(is_heard: impl Fn(u32) -> bool) -> Vec<String> {
         let (mut journal, mut now, mut all) = (Journal::new(false), Duration::ZERO, Vec::new());
         let line =

@@ -114,7 +114,7 @@ fn exchange(
         let block = registers(&read);
         // An answer that took long may be as old as its question: it is seen, and not said.
         if seen.is_new(block) && asked.elapsed() <= MASTER_LASTS {
-            // There is no second master here, and what is refused is told in the block.
+            // There is no second master here, and what is refused is reported in the block.
             shared.hub().take(shared.now(), PLC, &block).ok();
         }
         due += target.period;

@@ -69,7 +69,7 @@ impl Bank {
         }
     }
 
-    /// Returns true if its parts fit together, for so many values that last.
+    /// Returns true if its parts fit together, for this many values that last.
     pub fn is_whole(&self, values: usize) -> bool {
         let of = |side: &Side, filters: usize| {
             side.filters.len() == filters
@@ -144,7 +144,7 @@ impl Bank {
         (count, mean(0), mean(1))
     }
 
-    /// So many times likelier than by the file as it is the readings are by what was learned, since the file was last
+    /// This many times likelier than by the file as it is the readings are by what was learned, since the file was last
     /// as good; never counted beyond what is enough.
     pub fn odds(&self) -> f64 {
         self.evidence.exp()
@@ -224,7 +224,7 @@ mod tests {
     use super::*;
 
     const HALF_HOUR_S: f64 = 1800.0;
-    /// A day of work has so many readings, then the night.
+    /// A day of work has this many readings, then the night.
     const OF_A_DAY: usize = 20;
 
     /// Readings each half hour of a working day, of a file that is right but for `off` of a growth of 20 to 100 µm; the

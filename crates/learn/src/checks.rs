@@ -6,9 +6,9 @@ use crate::{
 };
 
 const DAY_S: f64 = 86_400.0;
-/// After so many days without a check one is asked for: four weeks.
+/// After this many days without a check one is asked for: four weeks.
 const DUE_DAYS: f64 = 28.0;
-/// So many checks say whether they drift: two of them are on a line.
+/// This many checks say whether they drift: two of them are on a line.
 const FEWEST: usize = 4;
 /// Standard errors of the slope at which a drift is certain: once in 10⁶ of normal noise.
 const CERTAIN: f64 = 5.0;

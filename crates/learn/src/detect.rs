@@ -47,7 +47,7 @@ pub(crate) fn smallest_step_um(scatter_um: f64) -> f64 {
 /// And in standard deviations of the prediction.
 const KNOWN: f64 = 4.0;
 /// The prediction's usual uncertainty, as a share of the scatter that contains it: where a constant may go anywhere in a month,
-/// two readings a day leave so much.
+/// two readings a day leave this much.
 const USUAL: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
 const FEWEST: usize = 3;
@@ -331,7 +331,7 @@ mod tests {
         let gain = found(|_, growth| 0.3 * growth, &levels).expect("a change");
         assert_eq!(gain.best.alternative, Alternative::Constant(0));
         assert!(gain.others.is_empty(), "{gain:?}");
-        // At one level nothing tells them apart, and both are named.
+        // At one level nothing distinguishes them, and both are named.
         let both = found(|_, _| 12.0, &[40.0; 5]).expect("something");
         assert_eq!(both.others.len(), 1, "{both:?}");
     }

@@ -100,11 +100,11 @@ pub struct Event {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Action {
-    /// Readings count from a zero that is so many µm higher.
+    /// Readings count from a zero that is this many µm higher.
     Zero(f64),
-    /// These values change: each by so much, known to a standard deviation.
+    /// These values change: each by this much, known to a standard deviation.
     Shift(Vec<(usize, f64, f64)>),
-    /// Readings scatter so many times as much.
+    /// Readings scatter this many times as much.
     Scatter(f64),
     /// Nothing.
     Nothing,

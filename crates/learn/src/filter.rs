@@ -15,7 +15,7 @@
 //! readings themselves, where one in twenty is bad.
 //!
 //! Readings of one morning are off alike: the machine was homed a little elsewhere, it bends a little with the
-//! hall. To whom that is a constant follows every morning, and is wrong on the next. So w is kept beside
+//! hall. To whom that is a constant follows every morning, and is wrong on the next. So w is kept next to
 //! the constants and never applied, and the intervals of these hold although the readings are not independent.
 //!
 //! One reading far from the rest is a chip or a drop of coolant. Four of six on the same side are a
@@ -27,23 +27,23 @@ use std::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 use trueup_numerics::robust::median;
 
-/// A reading farther off than so many standard deviations is refused: one good one in 16 000.
+/// A reading farther off than this many standard deviations is refused: one good one in 16 000.
 const REFUSED: f64 = 4.0;
-/// Beyond so many it does not count for more: Huber's bound at which squares of normal noise lose 1 %.
+/// Beyond this many it does not count for more: Huber's bound at which squares of normal noise lose 1 %.
 const COUNTS: f64 = 2.0;
-/// So many of the last [`LAST`] on one side, all refused, are a change: of 5 % bad readings on either side
+/// This many of the last [`LAST`] on one side, all refused, are a change: of 5 % bad readings on either side
 /// by chance once in 80 000 readings.
 const CHANGED: usize = 4;
 const LAST: usize = 6;
-/// The readings whose scatter is R: the median of so many is known to a seventh.
+/// The readings whose scatter is R: the median of this many is known to a seventh.
 const SCATTER: usize = 64;
-/// From so many readings on their own scatter is believed.
+/// From this many readings on their own scatter is believed.
 const ENOUGH: usize = 8;
-/// Before that a reading may scatter by so many times what the instrument is said to.
+/// Before that a reading may scatter by this many times what the instrument is said to.
 const UNKNOWN_NOISE: f64 = 3.0;
 /// No probe repeats better, in µm.
 pub(crate) const FINEST_UM: f64 = 0.1;
-/// So many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
+/// This many readings in a hundred are bad, and may be off by anything up to this, in µm, either way: then no single
 /// reading says much for or against anything.
 const BAD: f64 = 0.05;
 const ANYTHING_UM: f64 = 100.0;
@@ -74,7 +74,7 @@ pub(crate) struct Filter {
 pub(crate) enum Fate {
     /// Used.
     Taken,
-    /// Refused: so many µm off, and so many standard deviations.
+    /// Refused: this many µm off, and this many standard deviations.
     Refused { off_um: f64, deviations: f64 },
     /// The machine has changed, and it and those before it are used.
     Changed,
@@ -99,7 +99,7 @@ impl Filter {
         it
     }
 
-    /// Returns true if its parts fit together, for so many values that last.
+    /// Returns true if its parts fit together, for this many values that last.
     pub fn is_whole(&self, values: usize) -> bool {
         let all = values + 1;
         self.prior.len() == values

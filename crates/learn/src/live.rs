@@ -65,7 +65,7 @@ impl Live {
         Ok(live)
     }
 
-    /// Asks for so many units of a part, as far as its cap permits.
+    /// Asks for this many units of a part, as far as its cap permits.
     fn ask(&mut self, part: usize, units: f64, runs: &Machine) {
         let most = f64::from(caps(runs.limits.learned).of(part));
         let units = units.round();

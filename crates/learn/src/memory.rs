@@ -1,4 +1,4 @@
-//! The state of a learner, in a file beside the learned machine file: everything that is known, every change, and the
+//! The state of a learner, in a file next to the learned machine file: everything that is known, every change, and the
 //! way back. It belongs to one machine (by its serial number, else its name) and one quantity.
 //!
 //! ```text

@@ -11,9 +11,9 @@ use crate::{
 
 /// Readings that are kept as they were read: at two a day five months.
 const WINDOW: usize = 300;
-/// Of so many of the last the filters before them are at hand: the longest look back, and an open event.
+/// Of this many of the last the filters before them are at hand: the longest look back, and an open event.
 const TAIL: usize = 80;
-/// Readings before an instant of which bad ones may have moved the estimate: where one in twenty is bad, more than two of so many
+/// Readings before an instant of which bad ones may have moved the estimate: where one in twenty is bad, more than two of this many
 /// are twice in a thousand times.
 const BEFORE: usize = 6;
 

@@ -19,7 +19,7 @@ const BACK: usize = 24;
 const FEWEST: usize = 3;
 /// Readings from which on constants are known better than before the first: ten for each of four.
 const SETTLED: u64 = 40;
-/// A step that the readings do not name acts from so many times the smallest one on: the estimate follows a smaller one.
+/// A step that the readings do not name acts from this many times the smallest one on: the estimate follows a smaller one.
 const UNNAMED: f64 = 4.0 / 3.0;
 /// Readings after an event from which on its name and size stay: named, and in any case (more than ten shifts of two).
 const NAMED: usize = 12;
@@ -182,7 +182,7 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
     let constants = finding.all.iter().filter(is_constant);
     let best = constants.max_by(|a, b| a.gain.total_cmp(&b.gain));
     match acting.alternative {
-        // A thousandth of a micrometre: so much is written.
+        // A thousandth of a micrometre: this much is written.
         Alternative::Zero => Action::Zero((acting.size * 1e3).round() / 1e3),
         Alternative::Constant(index) => {
             let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0).max(OTHERS);

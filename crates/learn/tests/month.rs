@@ -1,4 +1,4 @@
-//! A simulated month: what learning leaves on days that were not probed, beside the file as it is.
+//! A simulated month: what learning leaves on days that were not probed, next to the file as it is.
 //!
 //! `cargo test -p trueup-learn --test month -- --show-output` prints the figures.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]

@@ -126,7 +126,7 @@ pub const NO_ELONGATION_RAW: i32 = i32::MIN;
 pub const COUNT_LOW: Signal = Signal::unsigned(32, 16);
 /// The second one.
 pub const COUNT_HIGH: Signal = Signal::unsigned(48, 16);
-/// What a CNC must know of the bridge beside its offsets, a bit each.
+/// What a CNC must know of the bridge next to its offsets, a bit each.
 pub const STATE_BITS: Signal = Signal::unsigned(32, 32);
 /// CRC of the running calibration.
 pub const CALIBRATION_CRC: Signal = Signal::unsigned(32, 32);
@@ -172,7 +172,7 @@ pub const SERVICE: Signal = Signal::unsigned(27, 1);
 pub const CONFIRM: Signal = Signal::unsigned(28, 1);
 /// Which part of the correction what was learned is about, 1…5; 0: nothing was.
 pub const LEARNED_PART: Signal = Signal::unsigned(29, 3);
-/// By so much that part is more than the calibration says, in 10⁻⁵ of itself; its zero in nm.
+/// By this much that part is more than the calibration says, in 10⁻⁵ of itself; its zero in nm.
 pub const LEARNED: Signal = Signal::signed(32, 16);
 /// The lower half of the CRC of that calibration.
 pub const LEARNED_CRC: Signal = Signal::unsigned(48, 16);

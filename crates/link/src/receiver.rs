@@ -94,7 +94,7 @@ pub struct Receiver {
 }
 
 impl Receiver {
-    /// Returns a receiver that has heard nothing yet.
+    /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -198,7 +198,7 @@ pub struct OffsetReceiver {
 }
 
 impl OffsetReceiver {
-    /// Returns a receiver that has heard nothing yet.
+    /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -268,7 +268,7 @@ pub struct StatusReceiver {
 }
 
 impl StatusReceiver {
-    /// Returns a receiver that has heard nothing yet.
+    /// Returns a receiver that has received nothing yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { stream: Stream::new(STATUS_ID), counters: Counters::NOTHING }

@@ -118,7 +118,7 @@ pub enum Item {
         /// [`Item::State`].
         faults: u16,
     },
-    /// What a CNC must know of the bridge beside its offsets.
+    /// What a CNC must know of the bridge next to its offsets.
     State(StateBits),
     /// How the board came to run.
     Reset {
@@ -140,12 +140,12 @@ pub enum Item {
     },
 }
 
-/// What a CNC must know of the bridge beside its offsets: one bit a condition, 0 where all is well.
+/// What a CNC must know of the bridge next to its offsets: one bit a condition, 0 where all is well.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StateBits(pub u32);
 
 impl StateBits {
-    /// It has restarted, and `Engage` has not been heard as 0, 0, 0 and then 1 since.
+    /// It has restarted, and `Engage` has not been received as 0, 0, 0 and then 1 since.
     pub const RESTARTED: Self = Self(1 << 0);
     /// What heat the machine has kept from before the start is not known.
     pub const HEAT_UNKNOWN: Self = Self(1 << 1);
@@ -181,7 +181,7 @@ impl StateBits {
     pub const SENSOR_ODD: Self = Self(1 << 16);
     /// An older reference of the calibration is offered, and waits for `Confirm` or `Zero`.
     pub const REFERENCE_OFFERED: Self = Self(1 << 17);
-    /// The calibration was changed while no CNC was heard, and waits for `Confirm`.
+    /// The calibration was changed while no CNC was received, and waits for `Confirm`.
     pub const CALIBRATION_CHANGED: Self = Self(1 << 18);
     /// A thermometer changed faster than the mass that it measures can, and is not believed.
     pub const TEMPERATURE_RATE: Self = Self(1 << 19);

@@ -52,7 +52,7 @@ const NEWEST_IN_A_ROW: u8 = (1 << IN_A_ROW) - 1;
 /// How far a stream is trusted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Trust {
-    /// Nothing whole was heard yet: NODATA and INIT.
+    /// Nothing whole was received yet: NODATA and INIT.
     #[default]
     Initial,
     /// Its frames are used: VALID.
@@ -75,7 +75,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// Returns a stream of which no frame was heard; `data_id` is the CAN identifier of its frames.
+    /// Returns a stream of which no frame was received; `data_id` is the CAN identifier of its frames.
     #[must_use]
     pub const fn new(data_id: u16) -> Self {
         let checker = Checker::new(data_id);

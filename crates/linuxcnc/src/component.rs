@@ -117,7 +117,7 @@ pub struct Outputs {
     pub temperatures_c: [Option<f64>; TEMPERATURES],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
     pub elongation_um: Option<f64>,
-    /// What the bridge says of itself beside its offsets.
+    /// What the bridge says of itself next to its offsets.
     pub state: StateBits,
     /// CRC of the calibration that the bridge runs on, once it has said so; 0: none.
     pub calibration: Option<u32>,

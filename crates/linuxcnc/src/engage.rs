@@ -1,16 +1,16 @@
 //! When `Engage` is raised: only while LinuxCNC applies no offset.
 //!
 //! A bridge that has restarted does not know which offset is still applied, and gives none until it
-//! has heard `Engage` as 0 in three frames and then as 1. So whenever the bridge says "not
+//! has received `Engage` as 0 in three frames and then as 1. So whenever the bridge says "not
 //! available", or the operator lets go, `Engage` goes to 0, and comes back once the offset is gone
 //! and has been for as long as three frames take. A bridge that stays without an offset for another
-//! reason, a dead sensor, hears the same once a second: it changes nothing for it.
+//! reason, a dead sensor, receives the same once a second: it changes nothing for it.
 
 use std::time::Duration;
 
 /// Three `Control` frames, 20 ms apart, with as long again for a loop that comes late.
 const RELEASED: Duration = Duration::from_millis(120);
-/// A bridge that has heard `Engage` for so long and says "not available" is told from the beginning.
+/// A bridge that has received `Engage` for so long and says "not available" is distinguished from the beginning.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Whether `Engage` is raised.
@@ -23,7 +23,7 @@ pub struct Engage {
 
 impl Engage {
     /// Returns what to say now. `wanted`: the operator wants offsets and the machine is on; `available`: the
-    /// bridge gives one, or has not been heard; `at_zero`: LinuxCNC applies none.
+    /// bridge gives one, or has not been received; `at_zero`: LinuxCNC applies none.
     pub fn step(&mut self, now: Duration, wanted: bool, available: bool, at_zero: bool) -> bool {
         let lasts = now.saturating_sub(*self.since.get_or_insert(now));
         let falls = self.is_raised && (!wanted || (!available && lasts >= AGAIN));

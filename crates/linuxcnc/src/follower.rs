@@ -31,7 +31,7 @@ const LOST_AFTER: Duration = Duration::from_secs(1);
 /// After a change that was not ours, the pins are left to settle for so long, which is many servo
 /// cycles.
 const SETTLE: Duration = Duration::from_millis(50);
-/// So many of them one after the other: the pins are not connected as they should be, or LinuxCNC
+/// This many of them one after the other: the pins are not connected as they should be, or LinuxCNC
 /// stands.
 const LOST_STEPS: u8 = 3;
 /// An axis that the planner does not move for so long is told to be stuck.

@@ -14,7 +14,7 @@
 //! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never further
 //! from the planner's machine than the offset of the axis; both are counted without the base.
 
-/// `moveoff` has so many joints.
+/// `moveoff` has this many joints.
 pub const MAX_JOINTS: usize = 9;
 /// An offset is applied when it is within this of its goal, in nanometres.
 const APPLIED_WITHIN_NM: f64 = 20.0;

@@ -1,6 +1,6 @@
 //! Where the offsets are to go: from the bridge's frames, their age, and the lack of them.
 //!
-//! | what was heard | the offset | [`Target`] |
+//! | what was received | the offset | [`Target`] |
 //! |---|---|---|
 //! | a valid pair of frames, not older than `stale` | what it says, within the largest permitted | follow |
 //! | none, or "not available" | stays where it is, for `hold` | hold |
@@ -54,7 +54,7 @@ pub struct ReceivedOffsets {
 }
 
 impl ReceivedOffsets {
-    /// Nothing heard yet, at this time.
+    /// Nothing received yet, at this time.
     #[must_use]
     pub fn new(now: Duration) -> Self {
         let receiver = OffsetReceiver::new();

@@ -135,7 +135,7 @@ impl Record {
         cells.join(",")
     }
 
-    /// The whole of it, by way of a file beside it, so that there is never half of one.
+    /// The whole of it, by way of a file next to it, so that there is never half of one.
     fn write_all(&self) -> io::Result<()> {
         let mut text = self.header.clone() + "\n";
         for row in &self.rows {

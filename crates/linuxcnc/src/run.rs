@@ -147,7 +147,7 @@ impl<F: Fn() -> Option<Learned>> Lessons<F> {
     }
 }
 
-/// What was told last.
+/// What was reported last.
 #[derive(Debug)]
 struct News {
     down: Option<String>,
@@ -158,12 +158,12 @@ struct News {
 }
 
 impl News {
-    /// Nothing was told.
+    /// Nothing was reported.
     fn of(pinned: Pinned) -> Self {
         Self { down: None, state: None, pinned, bits: StateBits::default(), cut: None }
     }
 
-    /// A wire that is cut is told once, and that it is whole again.
+    /// A wire that is cut is reported once, and that it is whole again.
     fn wire(&mut self, cut: Option<&str>, tell: &mut impl FnMut(&str)) {
         if self.cut.as_deref() == cut {
             return;
@@ -177,7 +177,7 @@ impl News {
         }
     }
 
-    /// The same reason is told once.
+    /// The same reason is reported once.
     fn line_down(&mut self, why: &str, tell: &mut impl FnMut(&str)) {
         if self.down.as_deref() != Some(why) {
             tell(&format!("the line is down: {why}; trying again"));

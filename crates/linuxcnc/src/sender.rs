@@ -32,7 +32,7 @@ use trueup_link::{
 
 /// What stands is sent this often: a bridge that was away has to learn where it is.
 const STANDING_PERIOD: Duration = Duration::from_millis(50);
-/// A command that has gone back by so much is a reversal.
+/// A command that has gone back by this much is a reversal.
 const REVERSAL: i32 = Position::PER_MILLIMETRE / 1_000;
 /// The board sees the edge of `Zero` only if it holds for some frames of `Control`.
 const ZERO_HOLDS: Duration = Duration::from_millis(100);

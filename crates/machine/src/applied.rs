@@ -1,7 +1,7 @@
 //! What a bridge applied while a run was measured, taken out again.
 //!
 //! A record of the monitor has the offsets that the CNC added (`offset_x_um`, …) and their `quality`.
-//! An instrument beside it reads what is left, so that the machine's own error is
+//! An instrument next to it reads what is left, so that the machine's own error is
 //!
 //! ```text
 //! dx, dy, dz:  error = measured − offset
@@ -47,7 +47,7 @@ const FIRST_UNUSABLE: f64 = 4.0;
 /// The last quality that there is.
 const LAST_QUALITY: f64 = 6.0;
 
-/// A CNC may be so much later than its limits say, in seconds: it hears of a fault, and starts.
+/// A CNC may be this much later than its limits say, in seconds: it learns of a fault, and starts.
 const LATE_S: f64 = 1.0;
 
 /// A run as it would have been measured without a bridge: the one kind of run that constants of a machine are
@@ -115,7 +115,7 @@ impl<'r> Unaided<'r> {
 /// A run without what was applied, and what that was, by quantity.
 type Without = (RunFile, Vec<(Quantity, Vec<f64>)>);
 
-/// `run` without what was applied; `None` where nothing was. What is told, and the errors are those of
+/// `run` without what was applied; `None` where nothing was. What is reported, and the errors are those of
 /// [`Unaided::of`].
 fn taken_out(
     run: &RunFile,

@@ -1,6 +1,6 @@
 //! From what the user writes (µm, counts, seconds) to the integers that the board runs, and back.
 //!
-//! One page a section of the machine file, with both ways beside each other: what goes there and
+//! One page a section of the machine file, with both ways next to each other: what goes there and
 //! what comes back is seen together. Each part is held against the model, and refused where it is
 //! further from it than [`LARGEST_DIFFERENCE_NM`]; a page says how it is measured.
 //!

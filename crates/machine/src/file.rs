@@ -106,7 +106,7 @@ impl MachineFile {
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
         let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
-        // Beside a section that cannot be read nobody knows what a term belongs to.
+        // Next to a section that cannot be read nobody knows what a term belongs to.
         if faults.0.is_empty() {
             let misplaced = |(term, section)| term::check(section, term, &spindle, &axes).err();
             faults

@@ -12,7 +12,7 @@
 //! | [`inputs`] | from PLC counts to volts, ADC codes and readings |
 //! | [`run_file`] | reads a run file (CSV) into columns |
 //! | [`applied`] | what a bridge applied while a run was measured, taken out again |
-//! | [`thermometer`] | a thermometer's fault values, told from temperatures |
+//! | [`thermometer`] | a thermometer's fault values, distinguished from temperatures |
 //! | [`trusted`] | a run without fault values, with directions of approach that the positions imply |
 //! | [`model`] | the reference: what the model says of a run, row by row, in `f64` |
 //! | [`compile`](mod@compile) | a [`Machine`] in the integers of the board, and back |

@@ -80,7 +80,7 @@ pub struct BadInput {
     pub unlisted: usize,
 }
 
-/// So many faults of a file are told with their lines: more than a screen of them nobody reads.
+/// This many faults of a file are reported with their lines: more than a screen of them nobody reads.
 pub const MOST_LISTED: usize = 20;
 
 impl BadInput {

@@ -246,7 +246,7 @@ impl<'a> Predictor<'a> {
     }
 
     /// Writes the run as CSV with [`COLUMNS`] after its own; a value that is missing is an empty
-    /// cell. `row_done` hears of every row.
+    /// cell. `row_done` learns of every row.
     ///
     /// # Errors
     /// `out` cannot be written.
@@ -287,7 +287,7 @@ impl<'a> Predictor<'a> {
         Ok(written)
     }
 
-    /// Returns what a row that lies between two steps of the board's heat may be off beside the promise, in nm: the
+    /// Returns what a row that lies between two steps of the board's heat may be off next to the promise, in nm: the
     /// model's change since the row before, by the share of the time that the step is early or late. A lag
     /// is never faster at the end of an interval than in its mean; twice that.
     fn between_steps_nm(&self, row: usize, before: Values, now: Values) -> f64 {

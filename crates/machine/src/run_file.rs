@@ -84,7 +84,7 @@ impl RunFile {
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
     /// text that is not UTF-8; a source that cannot be read; more than [`MOST_BYTES`],
-    /// [`MOST_COLUMNS`] or [`MOST_VALUES`]. All that is wrong with a file is told at once, up to
+    /// [`MOST_COLUMNS`] or [`MOST_VALUES`]. All that is wrong with a file is reported at once, up to
     /// [`MOST_LISTED`](crate::location::MOST_LISTED) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
         Self::within(Bounds { bytes: MOST_BYTES, values: MOST_VALUES }, source, path)

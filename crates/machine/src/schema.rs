@@ -134,7 +134,7 @@ fn term() -> Value {
 }
 
 /// Returns the keys of a cause besides those that all have: which of them go together depends on what stands
-/// there, so that the page is asked beside each of them.
+/// there, so that the page is asked next to each of them.
 #[must_use]
 pub fn keys_of(cause: Cause) -> Vec<&'static str> {
     let mut names: Vec<&'static str> = Vec::new();

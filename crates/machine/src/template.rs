@@ -78,7 +78,7 @@ impl Control {
 /// What the divider of the wiring makes of 10 V: 20.0 kΩ over 9.76 kΩ.
 const WIRED: (f64, f64) = (10.0, 0.328);
 
-/// Returns the divider for a sensor of so many volts: the wiring's, else what leaves 20 mV below the converter's
+/// Returns the divider for a sensor of this many volts: the wiring's, else what leaves 20 mV below the converter's
 /// reference, as that does.
 fn divider(volts: f64) -> f64 {
     const SPARE_VOLTS: f64 = 0.02;

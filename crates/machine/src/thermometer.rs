@@ -202,7 +202,7 @@ impl Channel {
         let last = stretches.len() - 1;
         let stands = |(number, stretch): &(usize, &Range<usize>)| {
             let values = &self.values[(*stretch).clone()];
-            // A single one at an end cannot be told from a jump, and is no loss.
+            // A single one at an end cannot be distinguished from a jump, and is no loss.
             let is_spike = match *number {
                 0 => self.is_complete(stretch.end - 1),
                 number if number == last => self.is_complete(stretch.start - 1),

@@ -19,7 +19,7 @@ use crate::{
 /// A column of which more than this share is fault values is left as it is: then it is no temperature at all,
 /// which the units of its values tell.
 const MOST_FAULTS: f64 = 0.5;
-/// A step over more than so many of the usual rows is a pause.
+/// A step over more than this many of the usual rows is a pause.
 const PAUSE_ROWS: f64 = 2.0;
 /// Positions fall as often as they rise if the rarer of the two is at least this share of the other: a
 /// sweep back may have fewer targets, or be cut off.

@@ -157,7 +157,7 @@ fn a_column_too_many_is_refused_at_its_name() {
     assert_eq!(error, format!("bad.csv:1:{column}: more than 4096 columns"));
 }
 
-/// Lines and columns of all that is told of `text`, and how much more there is.
+/// Lines and columns of all that is reported of `text`, and how much more there is.
 fn places_of(text: &str) -> (Vec<(usize, usize)>, usize) {
     let error = error_of(text.as_bytes());
     let unlisted = error.unlisted;

@@ -16,7 +16,7 @@ fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file")
 }
 
-/// Returns what is left of a column, `None` where it is missing, and what is told.
+/// Returns what is left of a column, `None` where it is missing, and what is reported.
 fn taken_out(machine_text: &str, text: &str, column: &str) -> (Vec<Option<f64>>, Vec<String>) {
     let run = run(text);
     let (run, notes) =

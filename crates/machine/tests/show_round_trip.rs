@@ -91,7 +91,7 @@ impl Random {
         }
     }
 
-    /// Numbers with so many decimals, as TOML.
+    /// Numbers with this many decimals, as TOML.
     fn numbers(&mut self, count: usize, most: f64, decimals: usize) -> String {
         let numbers: Vec<String> =
             (0..count).map(|_| format!("{:.decimals$}", self.uniform(-most, most))).collect();

@@ -51,7 +51,7 @@ use trueup_core::{
 pub const REFERENCE: MicroOhms = MicroOhms(430_000_000);
 /// The shortest time between two turns of one converter.
 pub const TURN_MS: u32 = 80;
-/// The cables are checked again after so many readings: every 10 s at 100 ms a turn.
+/// The cables are checked again after this many readings: every 10 s at 100 ms a turn.
 pub const CHECK_TURNS: u32 = 96;
 
 /// Binary places of the ratio.

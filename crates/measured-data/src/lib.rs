@@ -1,7 +1,7 @@
 //! Where the measured data are that tests read and the project may not carry (`docs/measured-data.md`
 //! lists them).
 //!
-//! The folder is what `TRUEUP_DATA` names, else `../shared/data` beside the project. Whoever has
+//! The folder is what `TRUEUP_DATA` names, else `../shared/data` next to the project. Whoever has
 //! neither loses the tests on them, and is told so for each: nothing is left out in silence.
 #![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "only tests use it")]
 #![forbid(unsafe_code)]

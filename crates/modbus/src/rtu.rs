@@ -48,7 +48,7 @@ impl Timing {
     }
 }
 
-/// So many halves of a character, in µs.
+/// This many halves of a character, in µs.
 const fn half_characters(count: u32, baud: u32) -> u32 {
     match HALF_CHARACTER.saturating_mul(count).checked_div(baud) {
         Some(us) => us,
@@ -76,7 +76,7 @@ pub struct Slave {
 }
 
 impl Slave {
-    /// Returns a slave with this address, 1…247, that has heard nothing.
+    /// Returns a slave with this address, 1…247, that has received nothing.
     #[must_use]
     pub const fn new(unit: u8, timing: Timing) -> Self {
         Self { unit, timing, bytes: Vec::new(), last_us: 0, is_broken: false }

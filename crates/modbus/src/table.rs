@@ -67,7 +67,7 @@ pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// The temperature that means "not available".
 pub const NO_TEMPERATURE: i16 = i16::MIN;
 
-/// Where the two registers stand that a master's order of words is tried with, beside both blocks.
+/// Where the two registers stand that a master's order of words is tried with, next to both blocks.
 pub const WORD_ORDER_ADDRESS: usize = 100;
 /// What they hold: 16 909 060 (0x01020304) where the high word comes first.
 pub const WORD_ORDER: [u16; 2] = [0x0102, 0x0304];

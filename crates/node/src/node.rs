@@ -129,7 +129,7 @@ pub struct Node<'a> {
     offer: Offer,
     /// A `Zero` was refused since [`Node::service`] last ran.
     zero_refused: bool,
-    /// So was a learned change, and `Control` was not heard without one since.
+    /// So was a learned change, and `Control` was not received without one since.
     learned_refused: bool,
     supply: Supply,
     switch: ServiceSwitch,

@@ -197,7 +197,7 @@ impl<'a> Vectors<'a> {
         self.number.checked_rem(period_ms) == Some(0)
     }
 
-    /// The node hears the frames of the vector that was prepared.
+    /// The node receives the frames of the vector that was prepared.
     #[inline]
     pub fn hear(&mut self) {
         for frame in &self.sent {
@@ -295,7 +295,7 @@ impl<'a> Vectors<'a> {
     }
 }
 
-/// Returns the checksum of what a node with this calibration sends over so many vectors, faults among them.
+/// Returns the checksum of what a node with this calibration sends over this many vectors, faults among them.
 #[must_use]
 pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
     let mut run = Vectors::new(calibration, 0x7275_6574, true);

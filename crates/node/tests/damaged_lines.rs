@@ -104,7 +104,7 @@ struct Ears {
 }
 
 impl Ears {
-    /// They have heard these.
+    /// They have received these.
     fn after(sent: &[Frame]) -> Self {
         let mut ears = Self {
             board: Receiver::new(),
@@ -147,7 +147,7 @@ struct Damage<'a> {
 }
 
 impl Damage<'_> {
-    /// The board hears these bytes in place of the line.
+    /// The board receives these bytes in place of the line.
     fn hear(&mut self, bytes: &[u8]) {
         self.outcome.forms += 1;
         frames_in(bytes, |frame| {
@@ -234,7 +234,7 @@ fn no_one_to_three_flipped_bits_of_forty_lines_make_another_command() {
     assert_eq!(sum(|it| it.forms), 40 * (176 + 176 * 175 / 2 + 176 * 175 * 174 / 6));
 }
 
-/// The line is followed by others: which of the frames are heard.
+/// The line is followed by others: which of the frames are received.
 fn heard(receiver: &mut Receiver, bytes: &[u8]) -> Vec<(Frame, Command)> {
     let mut heard = Vec::new();
     frames_in(bytes, |frame| {
@@ -259,7 +259,7 @@ fn a_byte_lost_doubled_inserted_or_swapped_costs_at_most_two_frames_and_makes_no
             for (frame, _) in &got {
                 assert!(all[number..].contains(frame), "{frame:?} was never sent");
             }
-            // Where the end of the line is hit the next one goes with it; from then on all are heard.
+            // Where the end of the line is hit the next one goes with it; from then on all are received.
             let lost = if at + 1 >= LENGTH { 2 } else { 1 };
             let rest = &all[number + lost..];
             let tail: Vec<Frame> = got.iter().rev().take(rest.len()).rev().map(|it| it.0).collect();

@@ -12,7 +12,7 @@
 //! Kalman filter of this model (Harvey 1989, section 3.4), O(n) a vector. With w = 0 and equal steps
 //! it is the usual prewhitening by an AR(1).
 //!
-//! t_c is at most [`longest_memory`]: a longer one cannot be told from structure in a record of that
+//! t_c is at most [`longest_memory`]: a longer one cannot be distinguished from structure in a record of that
 //! length, and would let the noise explain everything.
 
 use crate::random::Generator;

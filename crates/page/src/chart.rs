@@ -1,4 +1,4 @@
-//! A chart of curves or points over one axis, as SVG; its legend stands beside it and not on a curve.
+//! A chart of curves or points over one axis, as SVG; its legend stands next to it and not on a curve.
 
 use std::fmt::Write as _;
 

@@ -58,7 +58,7 @@ pub fn within(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
     [value, low, high].map(|number| format!("{number:.decimals$}").replace('-', "−"))
 }
 
-/// Returns the unit in which a time of so many seconds reads best, and how many seconds it has.
+/// Returns the unit in which a time of this many seconds reads best, and how many seconds it has.
 ///
 /// ```
 /// assert_eq!(trueup_page::time_unit(90.0), ("s", 1.0));

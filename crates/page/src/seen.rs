@@ -1,4 +1,4 @@
-//! What of many points can be seen: a picture has so many places, however many rows a run has.
+//! What of many points can be seen: a picture has this many places, however many rows a run has.
 //!
 //! A dot covers a cell. Dots in the same cell are one, and cells on top of each other are one stroke. A line goes
 //! up and down within the width of a stroke: of the points in there the first, the lowest, the highest and the

@@ -28,9 +28,9 @@ pub enum Step {
     Spindle(f64),
     /// All stand.
     Dwell(f64),
-    /// All stand for so many seconds, and a reading is taken at the end.
+    /// All stand for this many seconds, and a reading is taken at the end.
     Read(f64),
-    /// The steps so many times.
+    /// The steps this many times.
     Repeat {
         /// At least 1.
         times: u32,

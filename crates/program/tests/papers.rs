@@ -1,4 +1,4 @@
-//! The programs beside those of the papers, checked by hand.
+//! The programs next to those of the papers, checked by hand.
 
 mod support;
 

@@ -1,4 +1,4 @@
-//! What the machine's laws say of what is heard: the sensor's voltage, and which cause has which share in
+//! What the machine's laws say of what is received: the sensor's voltage, and which cause has which share in
 //! the offset. The laws are those of a machine file, or of the calibration that the board itself gives.
 
 use std::{borrow::Cow, collections::BTreeMap, path::Path};
@@ -12,7 +12,7 @@ use trueup_machine::{
 };
 use trueup_store::calibration::{decode, identity};
 
-/// The laws of a machine, on their way through what is heard.
+/// The laws of a machine, on their way through what is received.
 pub struct Laws {
     machine: Machine,
     model: ReferenceModel<'static>,
@@ -41,7 +41,7 @@ pub struct Share {
     pub offset_um: [f64; 3],
 }
 
-/// What is heard at a moment.
+/// What is received at a moment.
 pub struct Moment<'a> {
     /// Since the screen began, in s.
     pub time_s: f64,
@@ -49,7 +49,7 @@ pub struct Moment<'a> {
     pub growth_um: Option<f64>,
     /// By channel, in 0.01 °C.
     pub centi_c: &'a [Option<i16>],
-    /// The CNC, where it can be heard.
+    /// The CNC, where it can be received.
     pub cnc: &'a Cnc,
 }
 

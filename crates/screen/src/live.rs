@@ -53,7 +53,7 @@ const AGAIN: Duration = Duration::from_secs(3_600);
 pub struct Options {
     /// Where the bridge is.
     pub port: String,
-    /// Who shows it: a bridge of another source is told.
+    /// Who shows it: a bridge of another source is reported.
     pub tool: Build,
     /// The machine file.
     pub machine: Option<PathBuf>,

@@ -77,7 +77,7 @@ pub enum Link {
 pub enum Source {
     /// Nobody's.
     None,
-    /// The board's own calibration; so many percent of it have come.
+    /// The board's own calibration; this many percent of it have come.
     Reading(u32),
     /// The board's own calibration.
     Board,
@@ -112,7 +112,7 @@ pub struct State {
     pub port: String,
     /// The line.
     pub link: Link,
-    /// What makes shares and volts of what is heard.
+    /// What makes shares and volts of what is received.
     pub laws: Option<Laws>,
     /// Where they are from.
     pub source: Source,
@@ -155,7 +155,7 @@ pub struct State {
 }
 
 impl State {
-    /// Before anything was heard of the bridge at `port`.
+    /// Before anything was learnt of the bridge at `port`.
     #[must_use]
     pub fn new(port: &str, quantity: Quantity, has_indicator: bool) -> Self {
         Self {
@@ -466,7 +466,7 @@ impl State {
         self.laws.as_ref().map(|laws| laws.conditions(&self.cnc, now_ms)).unwrap_or_default()
     }
 
-    /// The CNC is heard on this line.
+    /// The CNC is received on this line.
     #[must_use]
     pub fn hears_cnc(&self) -> bool {
         let now_ms = (self.now_s * 1_000.0) as u64;

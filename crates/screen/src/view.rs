@@ -34,7 +34,7 @@ const HELP: [&str; 11] = [
     "is not heard on this line. \"rest\" is slew, limits, zero, and what is ?.",
 ];
 
-/// How things are told apart: by letters and weight always, by colour where it is wanted.
+/// How things are distinguished: by letters and weight always, by colour where it is wanted.
 #[derive(Clone, Copy, Debug)]
 pub struct Theme {
     /// Colours may be used.

@@ -60,7 +60,7 @@
 //! A tilt has two axes: the one that tilts, and 16 times the one of the lever. The bucket shift of its
 //! curve stands where a coefficient has its binary places. Its angle is an error at a lever of 2²⁷·10 nm.
 //!
-//! The checks go from the outside in: a blob of another schema is told apart from a damaged one
+//! The checks go from the outside in: a blob of another schema is distinguished from a damaged one
 //! before the CRC is looked at, because its CRC may lie elsewhere. After that every reference, range
 //! and table is checked once, so that the tick can rely on them.
 

@@ -162,7 +162,7 @@ impl<F: NorFlash> Log<F> {
         mut write: impl FnMut(&mut F, Slot, u32) -> bool,
     ) -> Result<(u32, Slot), StoreError> {
         // A slot that a power cut has torn may be read as a record the next time, with a number that is
-        // at most so much larger: this one has to win over it.
+        // at most this much larger: this one has to win over it.
         let newest = self.first.newest.max(self.second.newest);
         let unread = self.first.unread.saturating_add(self.second.unread);
         let step = unread.saturating_add(1);
@@ -337,7 +337,7 @@ mod tests {
     const HALF: usize = (SLOTS * SLOT_SIZE) as usize;
     type Flash = StrictFlash<HALF>;
 
-    /// Slots that hold something, but no record: so many in each half.
+    /// Slots that hold something, but no record: this many in each half.
     fn of_junk(first: u32, second: u32) -> Log<Flash> {
         let mut flash = Flash::erased();
         for (half, slots) in [first, second].into_iter().enumerate() {

@@ -54,7 +54,7 @@ pub struct Standing {
     pub reference: Reference,
     /// It is not in force: it waits for the operator's answer.
     pub is_offered: bool,
-    /// The calibration was changed while no CNC was heard, and the operator has not confirmed it.
+    /// The calibration was changed while no CNC was received, and the operator has not confirmed it.
     pub is_changed: bool,
 }
 

@@ -17,7 +17,7 @@
 //! wins over what was loaded before it, or flashing would have no effect and say nothing. An image
 //! with the example's constants wins over nothing: whatever was loaded counts.
 //!
-//! A newest one that is damaged makes an older one count, and that is told: it is not what the
+//! A newest one that is damaged makes an older one count, and that is reported: it is not what the
 //! operator has loaded. A load that a power cut has ended is none: its head has no CRC. Only a cut within the
 //! CRC itself looks like damage, and the operator is asked.
 
@@ -86,7 +86,7 @@ pub struct Found {
     pub foreign: u32,
     /// Slots that hold something, but no calibration.
     pub damaged: u32,
-    /// One of these was stored after `newest`, or there is none beside it: what counts is older than
+    /// One of these was stored after `newest`, or there is none next to it: what counts is older than
     /// what was loaded last.
     pub newer_is_damaged: bool,
 }

@@ -8,7 +8,7 @@ use core::cell::Cell;
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use std::{collections::BTreeMap, vec::Vec};
 
-/// So many bytes behind a cut in an erase are read differently twice.
+/// This many bytes behind a cut in an erase are read differently twice.
 const WAVERING_ERASE: usize = 64;
 
 /// A strict flash: a bit only goes from 1 to 0, a word is written when it is erased or not at

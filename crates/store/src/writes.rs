@@ -1,6 +1,6 @@
 //! What was written to the board, when, and over which line: the log that outlasts the power.
 //!
-//! A write is told from the node (RAM, and object 0x2110) and kept beside the references
+//! A write is distinguished from the node (RAM, and object 0x2110) and kept next to the references
 //! ([`crate::reference`]), in a slot of the same 32 bytes:
 //!
 //! | offset | a record, little-endian | unit |
@@ -10,7 +10,7 @@
 //! | 8 | `u32` what it was about, see [`What`] | |
 //! | 12 | `u32` time since the start of the board | ms |
 //! | 16 | `u32` time of day; 0: nobody has told it | s since 1970, UTC |
-//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), `u8` 1: no CNC was heard, 0 | |
+//! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), `u8` 1: no CNC was received, 0 | |
 //! | 24 | `u32` layout, 2 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
@@ -22,7 +22,7 @@ use crate::crc;
 
 /// Bytes of a write in the object.
 pub const SIZE: usize = 24;
-/// So many writes are told by the object.
+/// This many writes are told by the object.
 pub const KEPT: usize = 16;
 /// The layout of a record of a write.
 pub(crate) const LAYOUT: u32 = 2;
@@ -122,7 +122,7 @@ pub struct Write {
     pub what: What,
     /// Where it came from.
     pub origin: Origin,
-    /// It changes the calibration that will run, and no CNC was heard meanwhile.
+    /// It changes the calibration that will run, and no CNC was received meanwhile.
     pub is_unattended: bool,
 }
 

@@ -19,7 +19,7 @@ pub enum RotaryAxis {
     C,
 }
 
-/// At most so many of them carry a spindle.
+/// At most this many of them carry a spindle.
 pub const MOST_AXES: usize = 2;
 
 impl RotaryAxis {

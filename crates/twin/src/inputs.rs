@@ -1,7 +1,7 @@
 //! Days of a mill whose tool is off by a law that no list of causes has: of a switch, a tool, a pressure, two
 //! temperatures, or a range of the speed.
 //!
-//! A spindle grows by its speed, a sensor reads that right, and what is measured beside it has one more effect of
+//! A spindle grows by its speed, a sensor reads that right, and what is measured next to it has one more effect of
 //! recorded inputs. Six switches and six amounts are recorded; those that the effect does not go with are idle. Both
 //! days follow the same law; all inputs come and go often enough on each to show it.
 

@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// Returns what the virtual machine tool measures in `scenario` under `seed`, in the form of a run file.
-/// `row_done` hears of every row.
+/// `row_done` learns of every row.
 #[must_use]
 pub fn simulate(scenario: &Scenario, seed: u64, mut row_done: impl FnMut()) -> RunTable {
     let mut run = Run::new(scenario, seed);

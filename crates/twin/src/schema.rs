@@ -1,5 +1,5 @@
 //! Every key of the scenario from the types that read it, for editors (JSON schema) and for the reference (a
-//! table of Markdown): what stands beside a field there is what users read here.
+//! table of Markdown): what stands next to a field there is what users read here.
 
 use schemars::{Schema, generate::SchemaSettings};
 use serde::{

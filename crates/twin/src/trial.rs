@@ -73,7 +73,7 @@ impl Trial {
         }
     }
 
-    /// Returns the record (CSV) of the morning `day`: pieces of so many r/min for so many minutes.
+    /// Returns the record (CSV) of the morning `day`: pieces of this many r/min for this many minutes.
     #[must_use]
     pub fn run(&self, pieces: &[(f64, f64)], day: u64) -> String {
         let mut gauge = Stream::new(self.seed, &format!("trial gauge {day}"));

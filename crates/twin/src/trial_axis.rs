@@ -43,9 +43,9 @@ pub enum WrongAxis {
 pub enum Act {
     /// The axis goes there, in mm, at a feed in mm/min.
     Go(f64, f64),
-    /// The axis stands for so many seconds and is read at their end.
+    /// The axis stands for this many seconds and is read at their end.
     Read(f64),
-    /// The axis stands for so many seconds.
+    /// The axis stands for this many seconds.
     Wait(f64),
 }
 

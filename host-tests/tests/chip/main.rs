@@ -153,14 +153,14 @@ fn a_canopen_master_reads_the_device_type_and_the_boards_own_serial_number() {
     assert!(report.events.iter().any(|event| event.contains(&answer)), "no {answer}");
 }
 
-/// Runs the image with a client that opens the channel as soon as the board hears: it is up after some 90 ms,
+/// Runs the image with a client that opens the channel as soon as the board receives: it is up after some 90 ms,
 /// and looks at its lines 10 ms later.
 fn run_heard_from_the_start(options: &[&str]) -> Option<Report> {
     let opens = ["88", "90", "92", "94", "96", "98", "100"].map(|at| ["--say", at, "S8\\rO\\r"]);
     run(&[&["--bor"], opens.as_flattened(), options].concat())
 }
 
-/// Returns the faults that were told as emergencies on the serial line, by their places in the list of faults.
+/// Returns the faults that were reported as emergencies on the serial line, by their places in the list of faults.
 fn emergencies(report: &Report) -> Vec<u8> {
     let of = |event: &String| {
         let data = event.split(" serial t0818").nth(1)?;

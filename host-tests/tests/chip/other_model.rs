@@ -1,4 +1,4 @@
-//! The same image on another model of the same chip, written by others from the same manuals and kept beside the
+//! The same image on another model of the same chip, written by others from the same manuals and kept next to the
 //! project: what ours has come to allow, theirs may not.
 
 use std::{fs, path::Path, process::Command};

@@ -42,7 +42,7 @@ const STARTED: [(&str, &str, f64); 4] = [
 ];
 
 /// What the board does every 10 ms, every 100 ms or once a second may fall together with what comes over the lines,
-/// or not: at 16 MHz the script is played as often as this, so many ms later each time.
+/// or not: at 16 MHz the script is played as often as this, this many ms later each time.
 const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 
 /// All lines are open and busy, a PLC engages, and `Zero` is taken and stored.

@@ -30,7 +30,7 @@ pub fn said(event: &str, kind: &str) -> Option<(f64, Vec<u8>)> {
     Some((at.parse().ok()?, bytes.collect::<Option<_>>()?))
 }
 
-/// Returns how long so many bytes take at 115 200 Bd.
+/// Returns how long this many bytes take at 115 200 Bd.
 fn answer_ms(bytes: usize) -> f64 {
     11.0 * 1e3 * bytes as f64 / 115_200.0
 }

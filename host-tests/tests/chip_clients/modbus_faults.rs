@@ -1,4 +1,4 @@
-//! What a master can do wrong on the RS-485 line of the flashable image, and a master beside it: the exception that
+//! What a master can do wrong on the RS-485 line of the flashable image, and a master next to it: the exception that
 //! the standard names or no answer at all, and nothing moves. All times are the board's.
 
 use anyhow::{Context as _, Result, ensure};
@@ -96,7 +96,7 @@ fn faults(counter: u16) -> Vec<Fault> {
     ]
 }
 
-/// A master that has this to say, and knows what it has been told.
+/// A master that has this to say, and knows what it has been reported.
 struct Master {
     script: String,
     counter: u16,
@@ -236,7 +236,7 @@ fn what_a_master_does_wrong_gets_the_exception_of_the_standard_or_silence_and_mo
 fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() -> Result<()> {
     let Some(chip) = Chip::of_machine(FAST_MACHINE)? else { return Ok(()) };
     let end = SETTLED_MS + 200;
-    // A CNC that lets the offset go, beside a PLC that has it.
+    // A CNC that lets the offset go, next to a PLC that has it.
     let mut master = Master::engaging(SETTLED_MS);
     master.script += &format!("{} flags 2\n{} control 20\n", SETTLED_MS + 40, SETTLED_MS + 41);
     for at in (SETTLED_MS..end).step_by(20) {
@@ -250,7 +250,7 @@ fn a_cnc_on_can_beside_a_plc_and_a_plc_beside_a_cnc_are_told_and_move_nothing() 
     ensure!(is_told(&input) && input.refused == 0, "{input:?}");
     stands(&report, SETTLED_MS, end + 20)?;
 
-    // A PLC that does, beside a CNC; then the CNC falls silent.
+    // A PLC that does, next to a CNC; then the CNC falls silent.
     let mut script = "0 flags 2\n0 spindle 0\n0 positions 0\n380 flags 3\n".to_string();
     let busy = frame(UNIT, &[0x90, 6]);
     let asked: Vec<u32> = (SETTLED_MS + 5..end).step_by(20).collect();

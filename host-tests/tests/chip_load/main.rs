@@ -22,7 +22,7 @@ use trueup_store::calibration::identity;
 
 /// Where the transfer begins: the board has said what there is to say of its start.
 const LOAD_MS: f64 = 130.0;
-/// A board is heard within this time of every start.
+/// A board is received within this time of every start.
 const START_MS: f64 = 200.0;
 
 /// Returns the fast machine, with growth times `gain`.
@@ -82,7 +82,7 @@ fn load(chip: &Chip, fault: &str) -> Result<u32> {
     // The answer to the last segment is a promise.
     ensure!(is_new || !told.is_accepted(reset), "it has accepted what it does not run on");
     let state = told.object((0x2001, 6), reset).context("it does not say how it is")?;
-    // A torn CRC of the head, its fourth word, cannot be told from a damaged one.
+    // A torn CRC of the head, its fourth word, cannot be distinguished from a damaged one.
     let torn = cut_in(new.blob().len() as u32 / 4 + 4);
     let is_asked = state & 1 << 2 != 0;
     ensure!(!is_asked || fault == torn, "a load that was cut counts as damaged: state {state:#x}");

@@ -69,7 +69,7 @@ impl Code {
     }
 }
 
-/// Returns the ELF file of a program of so many groups.
+/// Returns the ELF file of a program of this many groups.
 pub fn image(seed: u64, groups: usize) -> Vec<u8> {
     let mut draw = Draw(seed);
     let mut code = Code(Vec::new());

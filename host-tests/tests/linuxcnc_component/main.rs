@@ -135,7 +135,7 @@ fn a_bridge_that_is_unplugged_is_held_then_ramped_out_and_taken_up_again() -> Re
     })
 }
 
-/// Waits until the offset is taken back, and a fault is told.
+/// Waits until the offset is taken back, and a fault is reported.
 fn gone(rig: &mut Rig) -> Result<()> {
     let names = ["trueup.0.fault", "trueup.0.connected", "trueup.0.quality", "axis.z.eoffset"];
     rig.cnc.wait("the offset is taken back", 10, &names, |seen| {

@@ -1,5 +1,5 @@
 //! Probing in the real LinuxCNC: what the offset does to a probed point, and a probe between jobs that the
-//! learner hears of.
+//! learner learns of.
 
 use std::fs;
 

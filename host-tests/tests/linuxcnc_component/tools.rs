@@ -1,5 +1,5 @@
 //! Three tools in the real LinuxCNC: each grows with the speed in its own way, where the sensor in the nose does not see it.
-//! The twin is the metal: it hears which tool LinuxCNC has in the spindle and how fast that turns, the sensor's growth goes to
+//! The twin is the metal: it receives which tool LinuxCNC has in the spindle and how fast that turns, the sensor's growth goes to
 //! the bridge, and what counts is where the tool tip is.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
@@ -70,7 +70,7 @@ duration_s = 1
 ";
 const TABLE: &str = "T1 P1 D10 Z50\nT2 P2 D6 Z40\nT3 P3 D6 Z60\n";
 const RPM: f64 = 20_000.0;
-/// A second of the wall is so many of the metal: it is to warm.
+/// A second of the wall is this many of the metal: it is to warm.
 const HURRIED: f64 = 20.0;
 /// From a change on the offset comes within this, frames and ramp; then it counts.
 const COMES: Duration = Duration::from_millis(1_500);

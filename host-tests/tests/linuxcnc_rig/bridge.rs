@@ -31,7 +31,7 @@ use trueup_link::slcan::CR;
 use trueup_machine::{Machine, compile};
 use trueup_pipe::Block;
 
-/// The board's clock may fall behind by so much before it slips, on a busy computer.
+/// The board's clock may fall behind by this much before it slips, on a busy computer.
 const LARGEST_BACKLOG_MS: u32 = 100;
 /// Blocks handed over at once: their frames are as late as the first of them.
 const LARGEST_BATCH: u32 = 10;

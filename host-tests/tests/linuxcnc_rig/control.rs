@@ -37,7 +37,7 @@ const INCLUDED: &str = "trueup_machine.inc";
 /// After the screen has come.
 const LATE: [&str; 2] = ["net scenario screen.scenario", "net trueup-zero screen.zero"];
 
-/// Starts it with the bridge at this address, and with these files beside the samples.
+/// Starts it with the bridge at this address, and with these files next to the samples.
 pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result<Headless> {
     let recorder = ("recorder.hal", RECORDER);
     let mut cnc = start_with(linuxcnc, "trueup_sim.ini", bridge, &[&[recorder], files].concat())?;
@@ -47,7 +47,7 @@ pub fn start(linuxcnc: LinuxCnc, bridge: &str, files: &[(&str, &str)]) -> Result
     Ok(cnc)
 }
 
-/// Starts this sample configuration, with these files beside the samples; `FOLDER` in them is where they are. A
+/// Starts this sample configuration, with these files next to the samples; `FOLDER` in them is where they are. A
 /// `recorder.hal` among them is loaded.
 pub fn start_with(
     linuxcnc: LinuxCnc,

@@ -75,10 +75,10 @@ travel_mm = [0.0, 2500.0]
 const NOISE_UM: f64 = 0.3;
 /// How long a program stands for a reading, in s.
 const DWELL_S: f64 = 0.4;
-/// The indicator is read once the joints have stood for so many servo cycles: a loaded computer loses most of a
+/// The indicator is read once the joints have stood for this many servo cycles: a loaded computer loses most of a
 /// dwell.
 const SETTLED: u32 = 2;
-/// A reading comes within so many seconds of the one before.
+/// A reading comes within this many seconds of the one before.
 const PATIENCE_S: u64 = 30;
 
 /// Reads a row: what the template does not give comes from the machine and its instruments.

@@ -60,7 +60,7 @@ fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<[[f64; 2]; 3]> {
     begin_and_pass_the_stop(cnc, cycles, &name)?;
     let begun = Instant::now();
     let mut seen = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
-    // The recorder is a little late: so many more cycles hold the end of the program.
+    // The recorder is a little late: this many more cycles hold the end of the program.
     let mut more = LATE;
     while more > 0 {
         for _ in 0..EACH {

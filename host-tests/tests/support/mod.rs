@@ -57,7 +57,7 @@ const START: Duration = Duration::from_secs(120);
 const END: Duration = Duration::from_secs(10);
 /// How long a board may keep silent on a socket.
 pub const PATIENCE: Duration = Duration::from_secs(10);
-/// By this variable the processes of one command are told from everybody else's.
+/// By this variable the processes of one command are distinguished from everybody else's.
 const MARK: &str = "TRUEUP_TEST_MARK";
 
 /// A command that runs.

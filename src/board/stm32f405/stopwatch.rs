@@ -25,7 +25,7 @@ pub fn cycles_since(start: u32) -> u32 {
     start.wrapping_sub(now()) & MASK
 }
 
-/// Returns whether `ready` came true within so many core cycles, below 2²⁴, by SysTick. A poll takes some cycles,
+/// Returns whether `ready` came true within this many core cycles, below 2²⁴, by SysTick. A poll takes some cycles,
 /// so that many polls are the limit where SysTick stands.
 pub fn soon(cycles: u32, mut ready: impl FnMut() -> bool) -> bool {
     let start = now();

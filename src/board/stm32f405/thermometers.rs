@@ -33,7 +33,7 @@ const ROUND: usize = 10;
 /// Milliseconds between two turns.
 const PERIOD_MS: u32 = 10;
 const _: () = assert!(ROUND > TEMPERATURES && ROUND as u32 * PERIOD_MS >= TURN_MS);
-/// After so many rounds a converter that is there has answered.
+/// After this many rounds a converter that is there has answered.
 const ROUNDS_TO_ANSWER: u32 = 5;
 /// Polls that a byte may take: some 20 times what it needs at 1.3 MHz.
 const BYTE_POLLS: u32 = 4_096;

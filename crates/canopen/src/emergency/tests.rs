@@ -1,4 +1,4 @@
-//! Each fault is told once when it comes and once when it has gone.
+//! Each fault is reported once when it comes and once when it has gone.
 
 use super::*;
 use can_dbc::{Dbc, MessageId};
@@ -9,7 +9,7 @@ use std::{
 };
 use trueup_link::status::StateBits;
 
-/// Code, register and number of whatever is told in so many milliseconds of these faults.
+/// Code, register and number of whatever is reported in this many milliseconds of these faults.
 fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
     let output = Output::default();
     let mut frames = Vec::new();

@@ -37,7 +37,7 @@ pub enum ClientError {
     TooLong {
         /// Of this object.
         at: At,
-        /// It may have so many.
+        /// It may have this many.
         most: u32,
     },
     /// The object ends before the length that the server has announced.
@@ -110,7 +110,7 @@ impl Upload {
         Self::start_at_most(at, MAX_UPLOAD)
     }
 
-    /// Returns the same of an object that has at most so many bytes.
+    /// Returns the same of an object that has at most this many bytes.
     #[must_use]
     pub fn start_at_most(at: At, most: u32) -> (Self, Frame) {
         let this = Self { at, toggle: None, announced: None, received: 0, most };

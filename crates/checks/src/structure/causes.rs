@@ -2,7 +2,7 @@
 //!
 //! Not counted are its own page (the file that is named after it), the list of the pages, the virtual
 //! machine tool, which must not share a word with the model that is tried on it, and tests. Names
-//! that are ordinary words (`backlash`, `step`) cannot be told from these and are left out.
+//! that are ordinary words (`backlash`, `step`) cannot be distinguished from these and are left out.
 
 use super::source::{SourceFile, is_name};
 
@@ -37,7 +37,7 @@ const CAUSES: &[&str] = &[
     "reference-instrument",
 ];
 
-/// The folder of the pages; what it has beside them is the list.
+/// The folder of the pages; what it has next to them is the list.
 const PAGES: &str = "crates/machine/src/effect/";
 
 /// Returns the cause that is named in most places, and these as `file:line`.

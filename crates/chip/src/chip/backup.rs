@@ -137,14 +137,14 @@ impl Chip {
         }
     }
 
-    /// The supply goes, and comes back after so many seconds.
+    /// The supply goes, and comes back after this many seconds.
     pub fn power_cut(&mut self, seconds: u64) {
         self.lose_memory(1, seconds);
         // 7.3.21: PORRSTF, PINRSTF, BORRSTF.
         self.reset(1 << 27 | 1 << 26 | 1 << 25);
     }
 
-    /// The supply is gone for so many seconds; what VBAT holds goes on (5.1.2).
+    /// The supply is gone for this many seconds; what VBAT holds goes on (5.1.2).
     pub(crate) fn backup_outlasts(&mut self, seconds: u64) {
         self.rtc_settle();
         let is_ready = self.backup.regulator_at <= self.now;

@@ -1,7 +1,7 @@
 //! The chip around the processor: its units, their time, and their interrupt lines.
 //!
 //! Written from RM0090 (STM32F405/407) and DS8626 alone. It is strict: what silicon ignores, faults on
-//! or leaves undefined goes into the report, beside what silicon would do.
+//! or leaves undefined goes into the report, next to what silicon would do.
 
 mod adc;
 mod backup;

@@ -20,7 +20,7 @@ fn number(words: &[String], i: usize) -> f64 {
 }
 
 impl Chip {
-    /// The supply is gone for so many seconds, and what it held. Time itself goes on for the backup domain only.
+    /// The supply is gone for this many seconds, and what it held. Time itself goes on for the backup domain only.
     pub(crate) fn lose_memory(&mut self, seed: u64, seconds: u64) {
         self.backup_outlasts(seconds);
         for i in 0..0x4000u64 {
@@ -153,7 +153,7 @@ impl Chip {
             "power" => (1 << 27 | 1 << 26 | 1 << 25, "power"),
             "pin" => (1 << 26, "pin"),
             "watchdog" => (1 << 29 | 1 << 26, "watchdog (forced)"),
-            // 7.3.21: the brown-out sets BORRSTF alone beside the pin's.
+            // 7.3.21: the brown-out sets BORRSTF alone next to the pin's.
             "brown_out" => (1 << 26 | 1 << 25, "brown-out"),
             _ => (1 << 28 | 1 << 26, "software (forced)"),
         };

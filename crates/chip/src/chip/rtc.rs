@@ -64,7 +64,7 @@ impl Default for Rtc {
     }
 }
 
-/// Returns a number in BCD, of so many bits of tens.
+/// Returns a number in BCD, of this many bits of tens.
 fn of_bcd(bcd: u32) -> u32 {
     (bcd >> 4) * 10 + (bcd & 15)
 }
@@ -95,7 +95,7 @@ impl Rtc {
         (u64::from(self.prescalers >> 16 & 0x7f) + 1) * (u64::from(self.prescalers & 0x7fff) + 1)
     }
 
-    /// Time and date, so many seconds after they stood.
+    /// Time and date, this many seconds after they stood.
     fn calendar(&self, seconds: u64) -> (u32, u32) {
         let of_day = of_bcd(self.time >> 16 & 0x3f) * 3600
             + of_bcd(self.time >> 8 & 0x7f) * 60
@@ -158,7 +158,7 @@ impl Chip {
         (cycles / division, cycles % division)
     }
 
-    /// A flag that comes so many cycles of RTCCLK after `at`; without a clock it never does.
+    /// A flag that comes this many cycles of RTCCLK after `at`; without a clock it never does.
     fn after_cycles(&self, at: u64, cycles: u64) -> bool {
         self.rtc_cycle().is_some_and(|cycle| self.now >= at.saturating_add(cycles * cycle))
     }

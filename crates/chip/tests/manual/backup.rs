@@ -42,7 +42,7 @@ fn started(battery: bool) -> Bench {
     bench
 }
 
-/// The supply goes for so many seconds and comes back; the clocks of the units are on again.
+/// The supply goes for this many seconds and comes back; the clocks of the units are on again.
 fn cut(bench: &mut Bench, seconds: u64) {
     bench.at_once(|chip| chip.power_cut(seconds));
     bench.set(RCC + 0x40, 1 << 28);

@@ -29,7 +29,7 @@ fn remarks(bench: &Bench) -> usize {
     bench.board.with_chip(|chip| chip.report.count(Grade::Remark))
 }
 
-/// Ticks of so many cycles of the converter.
+/// Ticks of this many cycles of the converter.
 fn cycles(count: u64) -> u64 {
     count * trueup_chip::time::TPS / CLOCK_HZ
 }

@@ -227,7 +227,7 @@ fn can_leaves_initialisation_after_11_recessive_bits_and_never_on_a_dominant_bus
 #[test]
 fn bus_off_is_left_after_128_times_11_recessive_bits_initialisation_or_not() {
     let mut bench = can(Faults { can_short: true, ..Faults::default() });
-    // A frame that nobody hears whole is sent 32 times, 8 errors each: 256.
+    // A frame that nobody receives whole is sent 32 times, 8 errors each: 256.
     bench.write(CAN1 + 0x180, 0x100 << 21 | 1);
     bench.pass(us(32 * 80));
     assert_eq!(bench.read(CAN1 + 0x18) & 4, 4, "BOFF");

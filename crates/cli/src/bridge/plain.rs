@@ -33,7 +33,7 @@ use crate::{Outcome, UserError, output};
 const PERIOD: Duration = Duration::from_secs(1);
 /// Between two tries to open a line that was lost.
 const REOPEN_PAUSE: Duration = Duration::from_millis(250);
-/// Without any offsets for so many lines there is nothing to monitor.
+/// Without any offsets for this many lines there is nothing to monitor.
 const SILENT_LINES: u32 = 3;
 
 /// Prints `count` lines, or lines without end. `record` is where a recording begins, with the
@@ -193,7 +193,7 @@ struct Calibration {
 
 impl Calibration {
     /// Returns the CRC of the calibration that the bridge runs; `None`, with a warning, where it does not say.
-    /// One that is not expected is told, or refused.
+    /// One that is not expected is reported, or refused.
     fn ask(&self, session: &mut Session) -> Result<Option<u32>> {
         let told = object::number(session, object::RUNNING_CRC);
         let sentence = match (&told, self.expected) {
@@ -220,7 +220,7 @@ fn compiled_crc(machine: &Path) -> Option<u32> {
     compile(&machine).ok().map(|compiled| compiled.crc())
 }
 
-/// What was heard since the start, and since the last line.
+/// What was received since the start, and since the last line.
 #[derive(Default)]
 struct Tally {
     offsets: OffsetReceiver,

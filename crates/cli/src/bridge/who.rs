@@ -49,7 +49,7 @@ pub fn compare_builds(session: &mut Session) -> Result<Build> {
     Ok(bridge)
 }
 
-/// Returns a bar over so many bytes, on standard error.
+/// Returns a bar over this many bytes, on standard error.
 pub fn bar(what: &'static str, bytes: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{msg} {wide_bar} {bytes} of {total_bytes} {eta}");
     ProgressBar::with_draw_target(Some(bytes as u64), ProgressDrawTarget::stderr())

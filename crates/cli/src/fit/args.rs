@@ -206,7 +206,7 @@ pub struct Pitch {
 pub enum Ways {
     /// What gains on repeats left out.
     Automatic,
-    /// One table, and a backlash beside it if that gains.
+    /// One table, and a backlash next to it if that gains.
     One,
     /// One table for each direction.
     Both,
@@ -267,7 +267,7 @@ pub struct Thermal {
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
-    /// Write a table over the temperature, with so many rows.
+    /// Write a table over the temperature, with this many rows.
     #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u16).range(2..=1000))]
     pub table: Option<u16>,
 }

@@ -1,4 +1,4 @@
-//! A reading of this moment beside the record of the hours before it.
+//! A reading of this moment next to the record of the hours before it.
 
 use std::{
     path::Path,

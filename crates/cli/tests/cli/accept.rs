@@ -66,7 +66,7 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
     let (code, _, said) = accept(folder.path(), &[]);
     assert_eq!(code, Some(2), "{said}");
     assert!(said.contains("--> on.csv:1:1\n") && said.contains("measures nothing"), "{said}");
-    // A spindle that did not turn alike is told.
+    // A spindle that did not turn alike is reported.
     put("on.csv", &run(0.05).replace(",12000,", ",6000,"));
     let (_, _, said) = accept(folder.path(), &[]);
     assert!(said.contains("did not turn alike"), "{said}");

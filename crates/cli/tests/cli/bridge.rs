@@ -217,7 +217,7 @@ fn a_calibration_is_loaded_read_back_and_put_to_use() {
     let running = format!("{:08x}", identity(paper().blob()));
     assert!(out.contains(&format!("stored and read back the same, CRC {crc}\n")), "{out}");
     assert!(out.ends_with(&format!("now the bridge runs on {running}\n")), "{out}");
-    // Who has loaded it is told, and so is what waits when another one is loaded.
+    // Who has loaded it is reported, and so is what waits when another one is loaded.
     let (out, _) = desk.said(&format!("bridge info --port {port}"), 0);
     assert!(out.contains(&format!("\nwritten      #7 loaded calibration {crc}, 20")), "{out}");
     assert!(out.ends_with(" s after a start, by serial\n"), "{out}");

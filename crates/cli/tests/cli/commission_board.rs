@@ -97,7 +97,7 @@ impl Shop {
         now.growth_um - now.offset_z_um
     }
 
-    /// Lets so much of the board's time pass.
+    /// Lets this much of the board's time pass.
     fn live(&self, ms: u32) {
         let end = self.now().lived_ms + ms;
         while self.now().lived_ms < end {

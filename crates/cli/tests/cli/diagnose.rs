@@ -128,7 +128,7 @@ fn what_cannot_be_compared_is_refused_with_its_place() {
 
 #[test]
 fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
-    // Two paths of heat that nobody can tell apart in a quarter of an hour.
+    // Two paths of heat that nobody can distinguish in a quarter of an hour.
     let trial = trueup_twin::trial::Trial::drawn(53);
     let first = trial.run(&[(trueup_twin::trial::RATED_RPM, 15.0)], 1);
     let desk = Desk::new(&[("m.toml", &trial.machine), ("first.csv", &first)]);

@@ -1,4 +1,4 @@
-//! `trueup export`: the files, the report beside them, and the exit codes.
+//! `trueup export`: the files, the report next to them, and the exit codes.
 
 use crate::desk::Desk;
 

@@ -18,7 +18,7 @@ fn a_port_that_is_none_is_refused_by_name() {
     refused(&desk, "linuxcnc", "--port");
 }
 
-/// Before LinuxCNC hears of a component that could never get ready.
+/// Before LinuxCNC learns of a component that could never get ready.
 #[cfg(not(all(feature = "socketcan", target_os = "linux")))]
 #[test]
 fn a_can_interface_needs_the_feature_and_says_how() {

@@ -1,7 +1,7 @@
 //! The book's tutorial is true: each command in it is run, in its order and in one folder, and prints what stands there.
 //!
 //! How a page writes commands, what they print, another exit code than 0 and lines left out is
-//! [trycmd](https://docs.rs/trycmd)'s. Beside the page are the files that it begins with (`tutorial.in`), and a folder
+//! [trycmd](https://docs.rs/trycmd)'s. Next to the page are the files that it begins with (`tutorial.in`), and a folder
 //! that lets the commands write, in a copy of them (`tutorial.out`). Where the page says something else,
 //! `TRYCMD=overwrite cargo test -p trueup-cli tutorial` mends it.
 

@@ -15,7 +15,7 @@ pub const LASTS_STEPS: u16 = 600;
 /// What the sources said at a step of the heat.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Past {
-    /// The elongation that was told.
+    /// The elongation that was reported.
     pub elongation: Nanometres,
     /// What each source by itself would have said, in the order of [`ElongationSource::ALL`]; `None`: nothing.
     pub raw: [Option<Nanometres>; 3],
@@ -64,13 +64,13 @@ mod tests {
     extern crate std;
 
     const STEPS_PER_HOUR: u32 = 36_000;
-    /// A spindle that warms up grows by up to so much, in nm.
+    /// A spindle that warms up grows by up to this much, in nm.
     const MOST_NM: f64 = 80_000.0;
     /// How slowly what a model leaves wanders, in steps: ten minutes.
     const WANDER_STEPS: f64 = 6_000.0;
 
-    /// Returns how often a model behind the sensor is said not to fit in so many hours of a machine that starts, stops,
-    /// and is switched on anew; the model is off by this share of the growth and wanders by so much RMS beside.
+    /// Returns how often a model behind the sensor is said not to fit in this many hours of a machine that starts, stops,
+    /// and is switched on anew; the model is off by this share of the growth and wanders by this much RMS next to.
     fn told(hours: u32, share: f64, wander_nm: f64, seed: u64) -> u32 {
         let mut seed = seed;
         let mut uniform = || f64::from(random(&mut seed)) / 2_f64.powi(32);
@@ -99,7 +99,7 @@ mod tests {
         told
     }
 
-    /// At most so many an hour: each takes a minute in which the model, less what it was off by at the start, is off
+    /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
     /// by more than is said nothing of; the growth's share lets it come nearer by that of 30 µm.
     fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
         let rest_nm = f64::from(LEAST_NM) * (1.0 - 2.0 * share.abs());
@@ -142,7 +142,7 @@ mod tests {
     #[test]
     fn beyond_15_micrometres_and_half_of_the_growth_for_a_minute_they_do_not_fit_and_else_they_do()
     {
-        // The first has grown by so much, the other one by so much.
+        // The first has grown by this much, the other one by this much.
         for (grown, other_grown, fits) in [
             (15_000, 0, true),
             (15_001, 0, false),

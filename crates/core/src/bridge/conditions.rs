@@ -14,7 +14,7 @@
 use super::{Bridge, State, state::HeardConditions};
 use crate::cnc::Conditions;
 
-/// They may be so many times as old as the CNC's sign of life.
+/// They may be this many times as old as the CNC's sign of life.
 pub const CONDITIONS_TIMEOUTS: u32 = 4;
 
 impl Bridge<'_> {

@@ -25,7 +25,7 @@ impl SelectedSource {
     }
 }
 
-/// What is told once in a step of the heat, so many steps ago at most: a sensor that freezes is found
+/// What is reported once in a step of the heat, this many steps ago at most: a sensor that freezes is found
 /// after 200 ms, and what it said meanwhile is not what the next source goes on from.
 pub(super) const BEFORE_STEPS: usize = 4;
 

@@ -87,7 +87,7 @@ fn bits(gradient: Gradient) -> Fine {
     Fine::saturating(rounded_shift(i64::from(gradient.0).wrapping_mul(1_000_000), SHIFT))
 }
 
-/// Returns the slope of the offset against an error that grows by so much.
+/// Returns the slope of the offset against an error that grows by this much.
 fn slope_of(error: Fine) -> i16 {
     let bits = error.rounded().negated().0;
     let held = bits.clamp(i32::from(LARGEST).saturating_neg(), LARGEST.into());
@@ -102,7 +102,7 @@ fn gradient(slope: i16) -> Gradient {
     Gradient(i32::try_from(quotient).unwrap_or(if slope < 0 { i32::MIN } else { i32::MAX }))
 }
 
-/// Returns the largest step of the slope in so many milliseconds, in bits, at least one.
+/// Returns the largest step of the slope in this many milliseconds, in bits, at least one.
 fn step(slew_nm_per_s: u32, elapsed_ms: u32, away: u32) -> i16 {
     // nm of the step · metres⁻¹ / 100: 32 bits by 32 fit in 64, and so does the product with 10⁵ of what is left.
     let nm = u64::from(slew_nm_per_s).wrapping_mul(elapsed_ms.into()) / 1_000;

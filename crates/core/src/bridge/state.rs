@@ -26,12 +26,12 @@ pub const STARVED_MS: u32 = 100;
 /// Without a temperature for so long its channel counts as bad.
 pub const TEMPERATURE_TIMEOUT_MS: u32 = 1_000;
 
-/// By so much may two positions lie nearer together in time than they were sent: a serial adapter hands on what
+/// By this much may two positions lie nearer together in time than they were sent: a serial adapter hands on what
 /// it has every 16 ms.
 pub const POSITION_JITTER_MS: u32 = 20;
-/// After a jump so many more have to follow from it before they are believed.
+/// After a jump this many more have to follow from it before they are believed.
 const FOLLOWING: u8 = 3;
-/// A jump is told for so long: many turns of what looks for it, so that it does not flicker.
+/// A jump is reported for so long: many turns of what looks for it, so that it does not flicker.
 pub const JUMP_TOLD_MS: u32 = 100;
 
 /// Where the offset is to go.
@@ -62,7 +62,7 @@ pub struct State {
     /// Since a position came that was not believed.
     jump_age: Age,
     pub(super) joint: Joint,
-    /// Whether the CNC was ever heard: silence is a loss only after that.
+    /// Whether the CNC was ever received: silence is a loss only after that.
     pub(super) cnc_known: bool,
     pub(super) codes_age: Age,
     /// Since blocks were missing.
@@ -158,7 +158,7 @@ impl<T: Copy> Heard<T> {
     }
 }
 
-/// What was heard of tool and conditions.
+/// What was learnt of tool and conditions.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeardConditions {
     pub last: Option<Conditions>,
@@ -179,7 +179,7 @@ impl HeardConditions {
 struct Said {
     position: Position,
     at: Millis,
-    /// So many more have to follow.
+    /// This many more have to follow.
     doubt: u8,
 }
 
@@ -209,7 +209,7 @@ impl State {
         self.elongation.filter(|_| self.sensor_is_fresh())
     }
 
-    /// Returns the tool and the conditions that were last heard, where a term needs them; and whether they are lost and
+    /// Returns the tool and the conditions that were last received, where a term needs them; and whether they are lost and
     /// the defaults stand in.
     #[must_use]
     pub fn conditions(&self) -> (Option<Conditions>, bool) {

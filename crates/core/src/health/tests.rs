@@ -153,7 +153,7 @@ fn running(from_ms: u32, shakes: f64, noise: u32) -> [Code; CODES_PER_TICK] {
     })
 }
 
-/// Returns a sensor that has been heard for half a second.
+/// Returns a sensor that has been received for half a second.
 fn heard(noise: u32) -> Health {
     let mut health = Health::default();
     (0..500).for_each(|ms| assert!(health.check(&running(ms, 0.0, noise), true).is_some()));

@@ -1,4 +1,4 @@
-//! The detectors of a board's own inputs, drawn: how many of so many faults each finds in its stated time, and how
+//! The detectors of a board's own inputs, drawn: how many of this many faults each finds in its stated time, and how
 //! often it cries where nothing is wrong. `docs/detectors.md` has the times and what the statistics promise.
 //!
 //! The sensor that is made here shares nothing with the twin: growth, run-out, noise, in codes.
@@ -108,7 +108,7 @@ impl Sensor {
     }
 }
 
-/// Alarms of a sensor that is well, over so many hours.
+/// Alarms of a sensor that is well, over this many hours.
 fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
     let (mut sensor, mut health) = (Sensor::new(noise, seed), Health::default());
     let mut run_out = RunOut::default();

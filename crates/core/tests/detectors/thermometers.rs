@@ -66,7 +66,7 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
         (0..draw % 4).for_each(|_| channel.hear(step(40.0 + by)));
         assert_eq!(channel.temperature(), step(40.0), "after {} of {by} K", draw % 4);
         channel.hear(step(40.0));
-        // One that stays is told, and then taken for what it is.
+        // One that stays is reported, and then taken for what it is.
         let mut heard = |_: &u32| {
             channel.hear(step(40.0 + by));
             channel.is_faulty()
@@ -138,7 +138,7 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
     }
 }
 
-/// Readings of thermometers whose noise is so many of a converter's steps, on parts that stand, warm up and cool down.
+/// Readings of thermometers whose noise is this many of a converter's steps, on parts that stand, warm up and cool down.
 struct Thermometers {
     random: Random,
     noise: f64,

@@ -92,7 +92,7 @@ fn share_line(name: &str, runs: usize, alarms: usize) -> String {
     format!("| {name} | {runs} | {alarms} | {percent:.2} % |\n")
 }
 
-/// Returns what was named instead, or beside: a line for each effect with anything but one right name.
+/// Returns what was named instead, or next to: a line for each effect with anything but one right name.
 fn confusion(ratio: f64, rows: &[&(f64, String, Row)]) -> String {
     let mut text = String::new();
     for (_, name, row) in rows.iter().filter(|(_, name, _)| !name.contains('+')) {

@@ -14,10 +14,10 @@ pub struct Options {
 }
 
 impl Options {
-    /// Of `words`, with so many seeds where they say nothing.
+    /// Of `words`, with this many seeds where they say nothing.
     ///
     /// # Errors
-    /// A word that is none; it has been told.
+    /// A word that is none; it has been reported.
     pub fn read(words: &[String], seeds: u64) -> Result<Self, ExitCode> {
         let mut it = Self { each: false, seeds, first: 0, tsv: None, names: Vec::new() };
         let mut words = words.iter();

@@ -10,11 +10,11 @@ use crate::{
     spread_over_cores,
 };
 
-/// The least share of draws in which all is named, of those whose faults can be told from each other.
+/// The least share of draws in which all is named, of those whose faults can be distinguished from each other.
 const NAMED: f64 = 0.95;
 /// The largest share of draws with a wrong name.
 const WRONG: f64 = 0.01;
-/// A healthy machine for so many with faults.
+/// A healthy machine for this many with faults.
 const FOR_A_HEALTHY_ONE: u64 = 5;
 
 /// Counts over draws.
@@ -24,7 +24,7 @@ struct Sum {
     named: usize,
     wrong: usize,
     harmed: usize,
-    /// Draws whose faults can be told from each other, and those of them in which all are named.
+    /// Draws whose faults can be distinguished from each other, and those of them in which all are named.
     can_be_told: usize,
     told: usize,
     /// By fault: draws, named, claimed.

@@ -110,7 +110,7 @@ impl Bridge {
     fn alternatives(&self, problem: &Problem, found: &Found, judged: &[Judgement]) -> Open {
         let own = problem.data.whole.as_ref().map(|whole| whole.pick(&self.offset_um));
         let offset = problem.groups.means(own.as_ref().unwrap_or(&self.offset_um));
-        // How much worse a free factor is in the place of what `model` lacks, where the two cannot be told apart.
+        // How much worse a free factor is in the place of what `model` lacks, where the two cannot be distinguished.
         let open = |model: &Model| {
             let fitted = with_free_factor(problem, model, &offset)?;
             let price = (problem.groups.len() as f64).ln();

@@ -30,9 +30,9 @@ use crate::{
     search::Found,
 };
 
-/// So many rows of a day are looked at: a mean square of as many that are independent is known to 1 %.
+/// This many rows of a day are looked at: a mean square of as many that are independent is known to 1 %.
 const MOST_ROWS: usize = 20_000;
-/// Noise is drawn into the inputs until there are so many rows of it, but not more often than
+/// Noise is drawn into the inputs until there are this many rows of it, but not more often than
 /// [`MOST_DRAWS`]: the root of its mean square is known to 2 % then.
 const ENOUGH_ROWS: usize = 2_000;
 const MOST_DRAWS: usize = 4;

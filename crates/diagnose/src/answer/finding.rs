@@ -143,7 +143,7 @@ impl Finding {
             .push("The hold-out becomes worse by it: it is left out of extended.toml.".into());
     }
 
-    /// It was found beside what the hold-out has disproved, or is that.
+    /// It was found next to what the hold-out has disproved, or is that.
     pub(super) fn disclaim(&mut self) {
         self.claimed = false;
         self.evidence.push("It was found beside what the hold-out does not bear out.".into());
@@ -164,7 +164,7 @@ impl Finding {
     }
 
     /// Its term is written with these values: where they differ from the joint fit by more than a standard error
-    /// they stand beside it.
+    /// they stand next to it.
     pub(super) fn is_written(&mut self, written: Option<Estimates>) {
         let Some(written) = written else { return };
         let mut differs = Vec::new();
@@ -193,7 +193,7 @@ impl Finding {
 /// Returns whether two values differ by more than the standard error of the first, of which `ci95` is the interval;
 /// without one, whether they differ. Lists do where one of their values does.
 fn is_apart(own: &Value, written: &Value, ci95: Option<&Value>) -> bool {
-    /// An interval of 95 % has so many standard errors (a normal distribution).
+    /// An interval of 95 % has this many standard errors (a normal distribution).
     const STANDARD_ERRORS: f64 = 3.92;
     match (own, written) {
         (Value::Number(_), Value::Number(_)) => {
@@ -253,7 +253,7 @@ fn named(cause: &Kind) -> String {
     }
 }
 
-/// Returns the name of the rival that cannot be told from the cause.
+/// Returns the name of the rival that cannot be distinguished from the cause.
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
         Doubt::Rival(rival) => Some(rival.name()),
@@ -356,7 +356,7 @@ fn rows_aside(aside: &[bool]) -> String {
     format!("{} {}", if rows.len() == 1 { "row" } else { "rows" }, rows.join(", "))
 }
 
-/// Returns what is told of rows that were set aside and are not claimed to be wrong; none where there are none.
+/// Returns what is reported of rows that were set aside and are not claimed to be wrong; none where there are none.
 pub(crate) fn not_claimed(aside: &[bool], known: Aside) -> Option<String> {
     let why = match known {
         Aside::Wrong => return None,
@@ -377,7 +377,7 @@ pub(crate) fn outliers(data: &Data, after: &[f64], aside: &[bool]) -> Finding {
     let count = aside.iter().filter(|aside| **aside).count();
     let share = count as f64 / with.len() as f64;
     let mut parameters = Map::new();
-    // Of so many rows that are or are not, by Wilson's interval.
+    // Of this many rows that are or are not, by Wilson's interval.
     let (n, z) = (with.len() as f64, 1.96_f64);
     let center = (share + z * z / (2.0 * n)) / (1.0 + z * z / n);
     let half = z / (1.0 + z * z / n) * (share * (1.0 - share) / n + z * z / (4.0 * n * n)).sqrt();

@@ -146,7 +146,7 @@ fn noise_sentence(diagnosis: &Diagnosis) -> String {
     }
 }
 
-/// The verdict in its colour, why it is so, and what must be known beside it.
+/// The verdict in its colour, why it is so, and what must be known next to it.
 fn verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
     let report = &diagnosis.report;
     let _ = writeln!(

@@ -18,10 +18,10 @@ use crate::{
     model::Model,
 };
 
-/// A term does at most so many times what was measured: two terms of which each explains all and the other
+/// A term does at most this many times what was measured: two terms of which each explains all and the other
 /// takes it back.
 const MOST_TIMES: f64 = 2.0;
-/// What is predicted in a state that was not measured leaves the measured range by at most so many times its
+/// What is predicted in a state that was not measured leaves the measured range by at most this many times its
 /// width.
 const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.

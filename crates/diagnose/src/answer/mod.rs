@@ -98,7 +98,7 @@ pub struct Diagnosis {
     pub(crate) runs: Vec<RunFile>,
 }
 
-/// What the answer depends on beside what was found.
+/// What the answer depends on next to what was found.
 pub(crate) struct Asked<'a> {
     /// The runs, as files.
     pub runs: &'a [RunFile],
@@ -345,7 +345,7 @@ pub(crate) fn conclude(
 }
 
 /// Returns the model as it is handed out: terms that are not kept leave, and the others are fitted again
-/// without them; but what is of this record alone is left out only then, for beside it the others are right.
+/// without them; but what is of this record alone is left out only then, for next to it the others are right.
 fn kept(problem: &Problem, found: &Found, judged: &[Judgement]) -> Model {
     let model = &found.fitted.model;
     let open = judged.iter().filter(|it| !it.is_kept && !it.is_of_this_record());

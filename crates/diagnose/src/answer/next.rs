@@ -14,11 +14,11 @@ use crate::{
 
 /// The pages ask for temperatures so far apart, in K.
 const APART_C: f64 = 5.0;
-/// The page of backlash asks for so many readings from each side,
+/// The page of backlash asks for this many readings from each side,
 const FROM_EACH_SIDE: usize = 7;
 /// at mid-travel and both ends.
 const PLACES: usize = 3;
-/// The pages ask for a record so many times as long as the time constant.
+/// The pages ask for a record this many times as long as the time constant.
 const TIMES_AS_LONG: f64 = 3.0;
 /// What is within this share of the travel of an end is at the end.
 const END: f64 = 0.1;

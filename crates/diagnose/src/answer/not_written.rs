@@ -7,9 +7,9 @@ use trueup_page::micrometres;
 pub(crate) enum NotWritten {
     /// Next to what the board does not run its size is not known, or it gains nothing.
     HeldUp,
-    /// It does so much, and what was measured is so much.
+    /// It does this much, and what was measured is this much.
     TooLarge { um: f64, measured_um: f64 },
-    /// The sum of the terms is so much in a state that was not measured; the measured range.
+    /// The sum of the terms is this much in a state that was not measured; the measured range.
     LeavesRange { um: f64, range_um: [f64; 2], since_start_s: f64 },
     /// `compile` would refuse the file.
     Refused(String),

@@ -3,7 +3,7 @@
 //! Both questions are answered by the noncentral F distribution. An error of the root mean square δ that
 //! repeats, in n rows whose noise is σ, has the noncentrality λ = n·(δ/σ)².
 //!
-//! - Could any error of a size that matters have been told from noise? One constant beside the zero, at
+//! - Could any error of a size that matters have been distinguished from noise? One constant next to the zero, at
 //!   1 %, in all rows: the error that shows best, because it changes from row to row.
 //! - Which error would have been found? Two constants, at the level that the search leaves to each of
 //!   its candidates, in as many rows as are independent: an error as slow as the noise, which shows
@@ -30,7 +30,7 @@ use crate::{
 
 /// The chance with which an error is to be found: 95 %, as the intervals of the answer.
 const POWER: f64 = 0.95;
-/// The level of the test whether an error could be told from noise: 1 %, as that of a table over its
+/// The level of the test whether an error could be distinguished from noise: 1 %, as that of a table over its
 /// repeats (fixed form of the answer).
 const SIGNIFICANCE: f64 = 0.01;
 /// A term has mostly an amplitude and a time constant or a reference.
@@ -52,7 +52,7 @@ pub(crate) struct Power {
     pub found_um: f64,
     /// The size that matters: RMS, in µm.
     pub matters_um: f64,
-    /// Whether an error of the size that matters could have been told from noise.
+    /// Whether an error of the size that matters could have been distinguished from noise.
     pub is_enough: bool,
     /// Whether what is left is as small as what the instrument is worth.
     pub is_of_instrument: bool,
@@ -65,11 +65,11 @@ pub(crate) struct Power {
 /// The smallest measurement that would do.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Needed {
-    /// So many cycles at the places where the axis was.
+    /// This many cycles at the places where the axis was.
     Cycles { cycles: usize, places: usize, range_mm: [f64; 2] },
     /// A calibration by ISO 230-2.
     Calibration,
-    /// A record of so many rows, and so long where there is time.
+    /// A record of this many rows, and so long where there is time.
     Record { rows: usize, seconds: Option<f64> },
     /// None: the instrument is too coarse.
     OtherInstrument,
@@ -131,7 +131,7 @@ fn ratio(size: f64, noise: f64) -> f64 {
     if size == noise { 1.0 } else { size / noise }
 }
 
-/// Returns whether `left_um` RMS in so many rows is no more than noise of the standard deviation `noise_um`
+/// Returns whether `left_um` RMS in this many rows is no more than noise of the standard deviation `noise_um`
 /// leaves in 95 of 100 cases (χ², by the cube root of Wilson and Hilferty 1931).
 fn is_as_small(left_um: f64, noise_um: f64, rows: f64, freedom: f64) -> bool {
     if freedom < 1.0 {

@@ -203,7 +203,7 @@ pub enum Verdict {
     Clean,
     /// No test of structure fires on what is left.
     Explained,
-    /// There is more, or two causes cannot be told apart.
+    /// There is more, or two causes cannot be distinguished.
     PartlyExplained,
     /// Structure, but no cause fits.
     Unexplained,
@@ -213,7 +213,7 @@ pub enum Verdict {
     DoesNotTransfer,
     /// A hold-out gains less than the floor of what was promised.
     FallsShort,
-    /// No error of a size that matters could have been told from noise.
+    /// No error of a size that matters could have been distinguished from noise.
     TooLittleData,
 }
 

@@ -11,7 +11,7 @@ use crate::{data::Data, kind::Part};
 
 /// Rows before and after that are looked at.
 const NEAR: usize = 40;
-/// A ramp has two ends where a step has one instant: so many times the squares of a reading's noise must it leave less.
+/// A ramp has two ends where a step has one instant: this many times the squares of a reading's noise must it leave less.
 const BETTER: f64 = 12.0;
 
 /// Adds to the finding of a step how long it took, where it was slower than a reading; `after` is what the answer says of

@@ -78,8 +78,8 @@ impl Transfer {
             let sets: Vec<u32> =
                 (1..1_u32 << count).filter(|set| set.count_ones() as usize == size).collect();
             let tried = on_all_cores(&sets, problem.is_large(), |&set| {
-                // What the others are worth may have been told right beside a term that acted in the
-                // runs alone, or wrong beside one that never was.
+                // What the others are worth may have been reported right next to a term that acted in the
+                // runs alone, or wrong next to one that never was.
                 let kept = without_all(problem, &model, in_set(&model, set));
                 let fitted = fit(problem, &kept, None).model;
                 [(kept, false), (fitted, true)].map(|(kept, is_refitted)| Mended {

@@ -46,7 +46,7 @@ pub(crate) enum Reason {
     OfInstrument,
     /// What comes and goes with the clock is driven by something that was not recorded.
     ByTheClock,
-    /// No error of a size that matters could have been told from noise.
+    /// No error of a size that matters could have been distinguished from noise.
     TooLittle(Power),
     Wanders(Wandering),
     /// The CNC applies the offsets otherwise than once.

@@ -44,7 +44,7 @@ const MOST_FAR: f64 = 0.05;
 pub(crate) struct Written {
     /// The terms that the board runs.
     pub board: Model,
-    /// What only explains, fitted beside them; with a constant of its own.
+    /// What only explains, fitted next to them; with a constant of its own.
     pub explains: Model,
     /// The problem without what the file has and the board does not run, where there is such.
     own: Option<Problem>,
@@ -96,7 +96,7 @@ impl Written {
     ) -> Model {
         let problem = self.problem(problem);
         let is_handed_out = |kind: &Kind| joint.has(kind);
-        // What is of this record alone is fitted beside the others, and left out then.
+        // What is of this record alone is fitted next to the others, and left out then.
         let is_of_record = |kind: &Kind| {
             judged.iter().any(|it| it.cause() == kind && !it.is_kept && it.is_of_this_record())
         };

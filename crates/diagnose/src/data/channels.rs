@@ -4,7 +4,7 @@
 //! Where a channel did not measure for a while its values are taken from the line between those around,
 //! and the rows do not count; nor those that a jump has parted from the longest stretch. One that did not
 //! measure for most of the time, or is a copy, is no column of the runs that are searched, unless the
-//! machine file needs it. All of it is told.
+//! machine file needs it. All of it is reported.
 
 use std::{ops::Range, sync::Arc};
 
@@ -20,11 +20,11 @@ use super::table::{Column, Data};
 /// Changes of a value from row to row that two columns must share before they are called copies: each
 /// would be as likely as not in one of them alone, so that 2⁻³⁰ = 10⁻⁹ is the chance that they are not.
 const SHARED_CHANGES: usize = 30;
-/// A step over more than so many of the usual rows is a pause: twice is one row that is not there.
+/// A step over more than this many of the usual rows is a pause: twice is one row that is not there.
 const PAUSE_ROWS: f64 = 2.0;
 /// Rows before and after an instant by which it is asked whether a neighbour turned there.
 const TURN_ROWS: usize = 10;
-/// Below so many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
+/// Below this many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
 const WORTH_CORES: usize = 1_000;
 /// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
 /// own size is known, which is several times the noise.

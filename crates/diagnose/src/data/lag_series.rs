@@ -8,7 +8,7 @@
 //! s ← φ·s + (1 − φ)·x      φ = e^(ε·Δt) = 1 + ε·Δt + (ε·Δt)²/2! + …
 //! ```
 //!
-//! Their coefficients hold for every τ, and are worked out once a column. A piece that is long beside
+//! Their coefficients hold for every τ, and are worked out once a column. A piece that is long next to
 //! τ is stepped row by row.
 
 use std::sync::Arc;

@@ -139,7 +139,7 @@ impl Lags {
         })
     }
 
-    /// Returns the fastest lag that is told of so many rows, in s; 0 where all are.
+    /// Returns the fastest lag that is reported of this many rows, in s; 0 where all are.
     pub(super) fn fastest_s(&self) -> f64 {
         self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.fastest_s())
     }

@@ -174,7 +174,7 @@ impl Data {
     }
 }
 
-/// Returns the runs without what a bridge applied while they were measured, and what is told of that.
+/// Returns the runs without what a bridge applied while they were measured, and what is reported of that.
 fn without_bridge<'r>(
     machine: &Machine,
     runs: &'r [RunFile],

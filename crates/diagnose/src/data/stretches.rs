@@ -1,6 +1,6 @@
-//! Lags that are slow beside the rows of a long record, stepped from mean to mean.
+//! Lags that are slow next to the rows of a long record, stepped from mean to mean.
 //!
-//! A lag need not be stepped through every row: over a stretch of length Δ that is short beside τ, the mean X of the
+//! A lag need not be stepped through every row: over a stretch of length Δ that is short next to τ, the mean X of the
 //! column does what its rows do one by one,
 //!
 //! ```text
@@ -20,7 +20,7 @@ use super::{
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
 const MOST: usize = 50_000;
-/// The longest stretch, in time constants, by which a lag is told: by what stands above it is wrong by 2 % of itself
+/// The longest stretch, in time constants, by which a lag is reported: by what stands above it is wrong by 2 % of itself
 /// then, and by 3 % of a jump. What is faster is not looked for in so long a record.
 const LONGEST: f64 = 0.5;
 

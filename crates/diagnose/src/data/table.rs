@@ -36,7 +36,7 @@ pub(crate) struct Data {
     /// The number of the series of each row: files, runs, restarts.
     pub series: Arc<[u32]>,
     pub time_s: Option<Arc<[f64]>>,
-    /// The gauge's own clock, in s, where the run has it beside `time_s`: the two may differ either way.
+    /// The gauge's own clock, in s, where the run has it next to `time_s`: the two may differ either way.
     pub gauge_time_s: Option<Arc<[f64]>>,
     pub run: Option<Arc<[f64]>>,
     /// By column, in °C.
@@ -208,7 +208,7 @@ impl Data {
         Rows { time_s: self.time_s.as_deref(), restart: &self.restart, blocks }
     }
 
-    /// Returns the fastest lag that is looked for in so many rows, in s; 0 where any is.
+    /// Returns the fastest lag that is looked for in this many rows, in s; 0 where any is.
     pub(crate) fn fastest_lag_s(&self) -> f64 {
         self.whole.as_ref().map_or(0.0, |whole| whole.lags.fastest_s())
     }

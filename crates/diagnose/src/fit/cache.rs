@@ -59,7 +59,7 @@ impl PartialEq for Key {
 impl Eq for Key {}
 
 impl Hash for Key {
-    /// Kinds that differ only in what is fixed about them meet, and are told apart by `eq`.
+    /// Kinds that differ only in what is fixed about them meet, and are distinguished by `eq`.
     fn hash<H: Hasher>(&self, state: &mut H) {
         self.constant.hash(state);
         for part in &self.parts {

@@ -324,7 +324,7 @@ const LONGEST_RECORDS: f64 = 3.0;
 const LONGEST_PERIOD: f64 = 0.7;
 /// The same in time, in records: what comes and goes less than two and a half times is a slow law of something.
 const LONGEST_TIME_PERIOD: f64 = 0.4;
-/// What cools so many times faster or slower than it warms is not the same heat.
+/// What cools this many times faster or slower than it warms is not the same heat.
 const ALIKE: f64 = 5.0;
 /// Time constants in a record that shows all of one: three of them pass five times over.
 const SHORT: f64 = 15.0;

@@ -23,7 +23,7 @@ pub(super) fn substitutes(
     columns: &[Vec<f64>],
     mask: Option<&[bool]>,
 ) -> Vec<Substitute> {
-    // Of the squares of the column that has most: a hundredth of a reading beside one.
+    // Of the squares of the column that has most: a hundredth of a reading next to one.
     const HARDLY: f64 = 1e-4;
     let squares = |column: &Vec<f64>| match mask {
         None => dot(column, column),

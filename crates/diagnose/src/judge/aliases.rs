@@ -2,7 +2,7 @@
 //!
 //! A wave that is looked at on a grid has the same values there as waves of other periods, one as good
 //! as the other; a lag that a record does not show out may be short or long. Other values are tried over
-//! all that the data could show, with everything else of the model fitted beside them.
+//! all that the data could show, with everything else of the model fitted next to them.
 
 use trueup_numerics::least_squares::normal::{dot, solve};
 
@@ -20,7 +20,7 @@ use crate::{
 const PEAKS: usize = 12;
 /// Time constants that a fit begins from.
 const TIME_CONSTANTS: i32 = 5;
-/// Most that are told.
+/// Most that are reported.
 const MOST_TOLD: usize = 4;
 
 /// First values of `part`, outside its own interval, that do as well; `without` lacks the part.

@@ -44,9 +44,9 @@ pub(crate) enum Doubt {
     LawAsWell(Inputs),
     /// Curves explain its part as well, and there is something that only they explain.
     NotNeeded,
-    /// It is only needed beside a term that stands for another law.
+    /// It is only needed next to a term that stands for another law.
     BesideOtherLaw,
-    /// A wave of what the instrument reads, beside this table over the same position: a table of more points would
+    /// A wave of what the instrument reads, next to this table over the same position: a table of more points would
     /// take it.
     BesideTable(Kind),
     /// The position only grew with the time: this cause of the time is the same.

@@ -1,8 +1,8 @@
-//! Whether a term only makes up for the form of a lagged law beside it, or for where that law stood at the start.
+//! Whether a term only makes up for the form of a lagged law next to it, or for where that law stood at the start.
 //!
 //! Heat of a machine is behind its thermometer by a lag of the first order only nearly: it goes through one
 //! body into the next, and where a record begins a body may stand anywhere between. What a small term adds
-//! to such a law may be that. So a term beside a lagged law must
+//! to such a law may be that. So a term next to a lagged law must
 //!
 //! ```text
 //! do more that only it can do than a lag of the first order misses      if it goes with heat as well
@@ -25,15 +25,15 @@ use crate::{
     },
 };
 
-/// Lagged laws that are tried beside what settles from the start on.
+/// Lagged laws that are tried next to what settles from the start on.
 const MOST_LAWS: usize = 4;
 /// What a lag of the first order misses of a body that is heated from its side: the share of its mean temperature
 /// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
 const FORM: f64 = 0.19;
-/// Time constants of a second body, as parts of that of the first: a shorter one is not seen beside it, and of two
+/// Time constants of a second body, as parts of that of the first: a shorter one is not seen next to it, and of two
 /// alike the form changes most.
 const SECOND_BODY: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
-/// Of a start that had not settled a seventh is left after so many time constants.
+/// Of a start that had not settled a seventh is left after this many time constants.
 const SETTLED: f64 = 2.0;
 /// The share of the record that must be left without its start for the question to be fair.
 const LEAST_LEFT: f64 = 0.5;

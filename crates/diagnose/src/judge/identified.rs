@@ -27,7 +27,7 @@ pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bo
             && is_seen_again(&case.problem.data, cause)
 }
 
-/// Returns whether a time constant is about the same whatever part of the record is left out, or short beside
+/// Returns whether a time constant is about the same whatever part of the record is left out, or short next to
 /// the record.
 fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
     if !cause.is_logarithmic(0) || cause.tier() > 1 {

@@ -40,11 +40,11 @@
 //! A rival that can imitate the term and needs more values for it is no rival: it says the same and
 //! more, and the search has found the rest of it to be noise. A curve (over a column, over a position
 //! and growing with another one, over the way since a reversal) explains clearly more if its score is
-//! better, the term explains less than nine tenths of the squares that it does (R² below 0.9), beside
+//! better, the term explains less than nine tenths of the squares that it does (R² below 0.9), next to
 //! it less than half of what the term explains is left to it, and it predicts left-out blocks better.
 //! Where it is shown that what the answer leaves goes with the same inputs, the score and the half are enough.
 //!
-//! Of causes that cannot be told apart a term is kept if all give the same correction, within the
+//! Of causes that cannot be distinguished a term is kept if all give the same correction, within the
 //! error that remains anyway.
 
 mod aliases;
@@ -95,7 +95,7 @@ pub(crate) struct Judgement {
     pub part: Part,
     /// Its values with their intervals, by name.
     pub parameters: Map<String, Value>,
-    /// What it brings beside all other terms.
+    /// What it brings next to all other terms.
     pub gain: Gain,
     /// What it brought when it was added.
     pub first_gain: Gain,
@@ -319,7 +319,7 @@ fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]
     }
 }
 
-/// Takes back the claims of the machine's own constants beside one whose search ended before its best: the law
+/// Takes back the claims of the machine's own constants next to one whose search ended before its best: the law
 /// that it belongs to is not the machine's, and what else is read into that law is not either.
 fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
     let is_own = |it: &Judgement| it.cause().tier() == 0;
@@ -342,7 +342,7 @@ fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
     }
 }
 
-/// Beside what is of this record alone, and is left out, the others are right as they are; but of one whose
+/// Next to what is of this record alone, and is left out, the others are right as they are; but of one whose
 /// interval holds nothing the size is not known there either. The two may be large and take each other back, so
 /// that what is left of them on another day is neither: it is not handed out alone.
 fn leave_what_only_this_record_holds_up(judged: &mut [Judgement]) {
@@ -355,7 +355,7 @@ fn leave_what_only_this_record_holds_up(judged: &mut [Judgement]) {
 }
 
 /// Takes back the claims that hold only if an open question is answered one way: each must still be needed
-/// with each of the rivals in the place of a term that cannot be told from them.
+/// with each of the rivals in the place of a term that cannot be distinguished from them.
 fn doubt_what_hangs_on_an_open_question(case: &Case<'_>, judged: &mut [Judgement]) {
     let problem = case.problem;
     let is_needed = |cause: &Kind, rival: &Rival| {
@@ -379,7 +379,7 @@ fn doubt_what_hangs_on_an_open_question(case: &Case<'_>, judged: &mut [Judgement
     }
 }
 
-/// Takes back the claims that only hold beside a term which stands for another law: what makes up for
+/// Takes back the claims that only hold next to a term which stands for another law: what makes up for
 /// the difference between the two is no cause either. Each must still be needed with whatever law there
 /// is in the place of those terms.
 fn doubt_what_stands_beside_another_law(case: &Case<'_>, judged: &mut [Judgement]) {

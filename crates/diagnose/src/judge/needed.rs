@@ -1,4 +1,4 @@
-//! What a term gains where it was left out of the fit, alone and beside another one.
+//! What a term gains where it was left out of the fit, alone and next to another one.
 
 use crate::{
     fit::fit,
@@ -28,7 +28,7 @@ pub(crate) fn may_gain_nothing(part: &Part, gain: &Gain) -> bool {
 }
 
 /// Returns whether what only the clock tells, a drift or a jump, also foresees the end of the record, where
-/// whatever is not told apart from it goes another way.
+/// whatever is not distinguished from it goes another way.
 pub(crate) fn goes_on(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     let is_of_clock = cause.cause().is_some_and(Effect::is_in_time) && !cause.has_time_constant();
     !is_of_clock

@@ -18,7 +18,7 @@ use crate::{
 
 /// R² of a law: the least that it must explain of the squares that go with its inputs.
 const LEAST_R_SQUARED: f64 = 0.9;
-/// The share of what a term explains that is left to it beside a better law: below.
+/// The share of what a term explains that is left to it next to a better law: below.
 const LEFT_TO_IT: f64 = 0.5;
 /// The correlation from which a column is another's: 0.2 % of the squares are its own.
 const SAME_COLUMN: f64 = 0.999;
@@ -43,7 +43,7 @@ impl Curves {
         Self { candidates }
     }
 
-    /// Returns the BIC of a model beside which up to two curves take what they can.
+    /// Returns the BIC of a model next to which up to two curves take what they can.
     pub(crate) fn bic_beside(&self, case: &Case<'_>, fitted: &Fitted) -> f64 {
         bic(case.problem, &with_curves(case.problem, fitted, &self.candidates))
     }
@@ -106,7 +106,7 @@ fn is_of_two_scales(kind: &Kind) -> bool {
     matches!(kind, Kind::Curve(curve) if curve.knots.len() == 2 && curve.times.as_deref() == Some(SAID))
 }
 
-/// `curve` with the term of `answer` beside it.
+/// `curve` with the term of `answer` next to it.
 fn beside(curve: &Model, answer: &Model, cause: &Kind) -> Model {
     let mut beside = curve.clone();
     beside.parts.extend(answer.parts.iter().filter(|part| part.kind == *cause).cloned());

@@ -28,7 +28,7 @@ const HEAT_MIN: [f64; 7] = [1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0];
 const HEAT_FEED_MM_PER_MIN: f64 = 10_000.0;
 /// The feed of a measurement where the runs do not say it: as `trueup program`.
 const FEED_MM_PER_MIN: f64 = 1000.0;
-/// So much of the way lies beyond the targets, and at most so many mm: there play is taken up.
+/// This much of the way lies beyond the targets, and at most this many mm: there play is taken up.
 const OVER_SHARE: f64 = 0.05;
 const MOST_OVER_MM: f64 = 50.0;
 /// What an axis warms by, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
@@ -205,7 +205,7 @@ impl AxisForesight {
         })
     }
 
-    /// Returns the columns that a run is to have beside the axis's position and what is measured.
+    /// Returns the columns that a run is to have next to the axis's position and what is measured.
     pub(super) fn inputs(&self) -> Vec<String> {
         self.columns.iter().map(|(name, _)| name.clone()).collect()
     }
@@ -313,7 +313,7 @@ impl AxisForesight {
     }
 }
 
-/// So many targets from `low` to `high`, both among them, those between moved on unevenly; whole micrometres.
+/// This many targets from `low` to `high`, both among them, those between moved on unevenly; whole micrometres.
 fn uneven(low: f64, high: f64, count: usize) -> Vec<f64> {
     let step = (high - low) / (count - 1) as f64;
     let share = |n: usize| {

@@ -136,7 +136,7 @@ impl Foresight {
         Ok(Self { fastest_rpm, most_load_n, every_s: every_s.max(gauge.step_s()), columns })
     }
 
-    /// Returns the columns that a run is to have beside time, speed and growth.
+    /// Returns the columns that a run is to have next to time, speed and growth.
     pub(super) fn inputs(&self) -> Vec<String> {
         let load = self.most_load_n.map(|_| "load_n".to_string());
         load.into_iter().chain(self.columns.iter().map(|(name, _)| name.clone())).collect()

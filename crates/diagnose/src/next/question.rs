@@ -1,4 +1,4 @@
-//! An open question: two models that the runs cannot tell apart, and how far a further run would.
+//! An open question: two models that the runs cannot distinguish, and how far a further run would.
 //!
 //! The values of neither model are known exactly, and a rival would move its own as far as the runs let it before it
 //! is given up. So what is expected of a run is held against the noise and that freedom together:
@@ -30,7 +30,7 @@ use crate::{
     search::Found,
 };
 
-/// Two models that the runs do not tell apart.
+/// Two models that the runs do not distinguish.
 #[derive(Clone, Debug)]
 pub(crate) struct Question {
     /// What each says, with its column.
@@ -60,7 +60,7 @@ pub(crate) struct Separation {
 }
 
 /// Returns the open questions of what was `judged`, in its order: each cause that is not claimed, and the best that
-/// cannot be told from it.
+/// cannot be distinguished from it.
 pub(crate) fn questions(problem: &Problem, found: &Found, judged: &[Judgement]) -> Vec<Question> {
     let open = judged.iter().filter(|it| !it.doubts.is_empty()).filter_map(|it| {
         let rival = it.rivals.iter().find(|rival| rival.is_open(it.cause()))?;
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
     use crate::{fit::fit, kind::Part};
 
-    /// Twice each of 0, 1, 4 and 9 times (1000 r/min)², with a load of so many N for each, and these readings.
+    /// Twice each of 0, 1, 4 and 9 times (1000 r/min)², with a load of this many N for each, and these readings.
     fn table(load_n: f64, um: impl Fn(f64, f64) -> f64) -> Data {
         let mut text = String::from("spindle_rpm,load_n,measured_elongation_um\n");
         for off in [1.0, -1.0] {

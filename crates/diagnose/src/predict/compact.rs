@@ -9,7 +9,7 @@ use trueup_numerics::parallel::on_all_cores;
 
 use crate::{model::Model, predict::dictionary::Dictionary};
 
-/// Most terms: what the board has room for beside those of the file.
+/// Most terms: what the board has room for next to those of the file.
 pub(super) const MOST_TERMS: usize = 8;
 /// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
 const RIDGE: f64 = 0.05;
@@ -17,7 +17,7 @@ const RIDGE: f64 = 0.05;
 const SINGLE: f64 = 1e-3;
 /// Held more, a fit is none.
 const MOST_RIDGE: f64 = 10.0;
-/// A term does at most so many times what was measured ([`crate::answer`]: of two terms that take each other back each is
+/// A term does at most this many times what was measured ([`crate::answer`]: of two terms that take each other back each is
 /// larger).
 const MOST_TIMES: f64 = 2.0;
 /// An exchange has to gain this share.

@@ -15,7 +15,7 @@ use crate::predict::dictionary::Dictionary;
 const WORTH: f64 = 1.0;
 /// Within one standard error, but worth less than this share of the best, a simple term is no rival.
 const RIVAL: f64 = 0.9;
-/// What is left of a column beside the others, as a share of its squares, below which it adds nothing.
+/// What is left of a column next to the others, as a share of its squares, below which it adds nothing.
 const OWN: f64 = 1e-3;
 /// A column is to be seen on as many occasions.
 const OCCASIONS: f64 = 3.0;

@@ -36,7 +36,7 @@ const PAIRS_WITHOUT: usize = 6;
 const SHARE: f64 = 0.75;
 /// Terms that a subsample may have more than the whole record.
 const MORE: usize = 2;
-/// Blocks are this many times as long as what is left remembers; so many there are at least and at most.
+/// Blocks are this many times as long as what is left remembers; this many there are at least and at most.
 const MEMORIES: f64 = 4.0;
 const BLOCKS: [usize; 2] = [8, 60];
 /// Blocks to begin with.

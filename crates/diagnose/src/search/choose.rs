@@ -156,7 +156,7 @@ fn best_of(all: &[Assessed], least_um: f64) -> Option<usize> {
         .map(|(index, _)| index)
 }
 
-/// Returns what is right may predict no better while something else is wrong beside it: the first of `all` with
+/// Returns what is right may predict no better while something else is wrong next to it: the first of `all` with
 /// a partner that lets it predict.
 fn pair_with_the_first(
     baseline: &Baseline<'_>,
@@ -186,7 +186,7 @@ fn pair_with_the_first(
     })
 }
 
-/// Returns the causes of at most `tier` that do most beside what `base` has, the best first.
+/// Returns the causes of at most `tier` that do most next to what `base` has, the best first.
 fn partners(problem: &Problem, base: &Fitted, tier: u8) -> Vec<Extension> {
     let own = bic(problem, base);
     let mut better = with_each_cause(problem, base, 4, |cause| cause.tier() <= tier);

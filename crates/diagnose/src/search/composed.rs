@@ -17,7 +17,7 @@ use crate::{
 /// Those that are fitted in the place of all terms over a column.
 const MOST_ALONE: usize = 10;
 
-/// Returns what takes two inputs together comes last, beside simpler terms that have stood for it. Returns models with
+/// Returns what takes two inputs together comes last, next to simpler terms that have stood for it. Returns models with
 /// one alone in the place of all terms of `fitted` that read the column of one of `causes`.
 pub(crate) fn alone_over_a_column<'k>(
     problem: &Problem,

@@ -19,7 +19,7 @@ use crate::{
 };
 /// What a term pays for the choice among n causes, in ln n: EBIC with γ = 1.
 pub(crate) const CHOICE: f64 = 2.0;
-/// Models whose BIC differs by less cannot be told apart (from 6 on Kass and Raftery, 1995, speak of
+/// Models whose BIC differs by less cannot be distinguished (from 6 on Kass and Raftery, 1995, speak of
 /// strong evidence).
 pub(crate) const STRONG_EVIDENCE: f64 = 6.0;
 
@@ -32,7 +32,7 @@ pub(crate) fn degrees(model: &Model) -> usize {
     parts + usize::from(model.constant_um.is_some())
 }
 
-/// Returns the noise of a residual (in groups) that so many values were fitted to.
+/// Returns the noise of a residual (in groups) that this many values were fitted to.
 pub(crate) fn noise_of(problem: &Problem, residual: &[f64], degrees: usize) -> Noise {
     noise::estimate(residual, &problem.groups.steps, longest_memory(problem), degrees)
 }

@@ -3,7 +3,7 @@
 //! A search term by term stops where no single term is worth it, and keeps a rich term that took the
 //! part of several plain ones. This one floats on from the model in work (sequential floating forward
 //! selection: Pudil, Novovičová, Kittler, 1994): it adds the best term whether it is worth it or not,
-//! takes away every term that is not needed beside it, and so on; the best model on the way is the
+//! takes away every term that is not needed next to it, and so on; the best model on the way is the
 //! answer, if it is clearly better and foresees better, or as good with no more values
 //! and foresees better beyond doubt. As each term is the best of many that were tried,
 //! it pays for that: models are compared by
@@ -31,7 +31,7 @@ use crate::{
 /// Terms that are added without being worth it, before the search turns back: two may hide each other,
 /// and a third one both.
 const MOST_AHEAD: usize = 3;
-/// Several terms at once must be identified: where they were not fitted they leave at most so many times the
+/// Several terms at once must be identified: where they were not fitted they leave at most this many times the
 /// squares that they leave where they were.
 const MOST_LEFT_OUT: f64 = 2.0;
 /// Candidates that are fitted for each term.
@@ -84,7 +84,7 @@ impl Search<'_> {
     pub(crate) fn float(&mut self) -> bool {
         let price = self.price();
         let own = self.assessed(self.fitted.clone(), price);
-        // A list has room for much that is none of it, and nothing else is needed beside it.
+        // A list has room for much that is none of it, and nothing else is needed next to it.
         let mut plain = own.fitted.model.clone();
         plain.parts.retain(|part| part.kind.list_length().is_none());
         let has_list = plain.parts.len() < own.fitted.model.parts.len();
@@ -103,7 +103,7 @@ impl Search<'_> {
     }
 
     /// Takes plain terms, waves too, in the place of all lists and waves, if they are better together: a list of many
-    /// values has followed several of them at once before one of them alone was worth as much, and a wave beside
+    /// values has followed several of them at once before one of them alone was worth as much, and a wave next to
     /// it is what it could not follow. Whether that has changed the model.
     pub(crate) fn plain_in_place_of_lists(&mut self) -> bool {
         let is_list = |kind: &Kind| kind.list_length().is_some();
@@ -246,7 +246,7 @@ impl Search<'_> {
         pairs.any(|(a, b)| take_back(&effects[a], &effects[b]))
     }
 
-    /// Returns the same terms, each time constant looked for again beside the others: a fit stays where it began.
+    /// Returns the same terms, each time constant looked for again next to the others: a fit stays where it began.
     fn begun_anew(&self, new: Extension) -> Extension {
         let Extension { cause, mut fitted, .. } = new;
         let parts: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();

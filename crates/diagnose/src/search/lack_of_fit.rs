@@ -71,7 +71,7 @@ impl fmt::Display for Inputs {
     }
 }
 
-/// `base` with each of the curves that do most beside what it has.
+/// `base` with each of the curves that do most next to what it has.
 pub(crate) fn with_each_curve(
     problem: &Problem,
     base: &Fitted,

@@ -22,7 +22,7 @@
 //! | `simplify` | what is made simpler at the end |
 //! | `smoothing` | lags that only take noise away |
 //!
-//! Models whose BIC cannot be told apart are equal; then the simpler cause wins, among those the one
+//! Models whose BIC cannot be distinguished are equal; then the simpler cause wins, among those the one
 //! that predicts left-out blocks better, and the machine's own model and sensors come before others.
 
 pub(crate) mod bound;
@@ -61,7 +61,7 @@ use state::{Search, Stage, WhyNot};
 
 /// Most terms of one diagnosis.
 const MOST_TERMS: usize = 8;
-/// A lack of fit that is told would be so many terms' worth.
+/// A lack of fit that is reported would be this many terms' worth.
 const LACK_OF_FIT: f64 = 2.0;
 /// Most rounds: one for each term, and as many as find nothing.
 const MOST_ROUNDS: usize = MOST_TERMS + 8;
@@ -100,7 +100,7 @@ pub(crate) fn start(data: &Data) -> Model {
 }
 
 /// Returns the search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
-/// is the answer to go on from where it is better than what is found now. `progress` hears what is being tried, and how
+/// is the answer to go on from where it is better than what is found now. `progress` receives what is being tried, and how
 /// far the search has come (0…1).
 pub(crate) fn search(
     problem: &Problem,
@@ -318,7 +318,7 @@ impl Search<'_> {
         lack_of_fit
     }
 
-    /// Returns the outcome, with what fires on what is left beside `lack_of_fit`.
+    /// Returns the outcome, with what fires on what is left next to `lack_of_fit`.
     fn outcome(self, mut lack_of_fit: Vec<LackOfFit>) -> Found {
         let (problem, fitted) = (self.problem, self.fitted);
         let scanned = scan(problem, &fitted, &structure(problem), self.limits);

@@ -1,6 +1,6 @@
 //! Which candidates explain more than noise would let them.
 //!
-//! Every candidate at every setting is projected out of the residual, beside what the model's own
+//! Every candidate at every setting is projected out of the residual, next to what the model's own
 //! values could absorb. Two statistics are kept for each:
 //!
 //! ```text
@@ -211,7 +211,7 @@ fn trials(problem: &Problem, model: &Model, candidates: &[Candidate]) -> Vec<Tri
                 continue;
             }
             let may_have = model.constant_um.is_none() && candidate.kind.has_reference();
-            // As many values as can be told from so many rows.
+            // As many values as can be distinguished from this many rows.
             let degrees = candidate.kind.degrees();
             if 3 * (degrees + 1) > rows {
                 continue;

@@ -86,7 +86,7 @@ impl Search<'_> {
         best
     }
 
-    /// A table for one way beside what goes with the direction may stand for one table each way. Tries
+    /// A table for one way next to what goes with the direction may stand for one table each way. Tries
     /// that in the place of all of them.
     fn table_for_both_ways(&mut self) {
         let is_part = |cause: &Kind| match cause.table() {
@@ -179,7 +179,7 @@ impl Search<'_> {
         all.into_iter().min_by(|a, b| a.bic.total_cmp(&b.bic))
     }
 
-    /// `model` with each wave that the data show, without those that it has: what was found beside a
+    /// `model` with each wave that the data show, without those that it has: what was found next to a
     /// table may be what the table could not follow of another.
     fn with_each_wave(&self, model: &Model) -> Vec<Extension> {
         let mut plain = model.clone();

@@ -17,7 +17,7 @@ use crate::{
     },
 };
 
-/// Smoothed over so many of its time constants: as much as the lag does, and as much as several of them do
+/// Smoothed over this many of its time constants: as much as the lag does, and as much as several of them do
 /// that were found for the same noise.
 const WIDTHS: [f64; 3] = [1.0, 2.0, 4.0];
 
@@ -60,7 +60,7 @@ fn has_memory(part: &Part) -> bool {
 }
 
 impl Search<'_> {
-    /// A lag that only smooths leaves: beside it the other terms have the wrong sizes.
+    /// A lag that only smooths leaves: next to it the other terms have the wrong sizes.
     pub(super) fn drop_what_only_smooths(&mut self) {
         while let Some((index, without)) = self.smoothing() {
             self.given_up.push(self.added[index].cause.clone());

@@ -1,4 +1,4 @@
-//! How far a search has come: the model in work, how its terms came in, and what was rejected beside it.
+//! How far a search has come: the model in work, how its terms came in, and what was rejected next to it.
 
 use std::fmt;
 
@@ -31,13 +31,13 @@ pub(crate) struct Search<'p> {
     pub stage: Stage,
     /// How the limits of the scan are drawn.
     pub limits: Draw,
-    /// What was tried beside the model in work and rejected; it is not tried beside it again.
+    /// What was tried next to the model in work and rejected; it is not tried next to it again.
     pub rejected: Vec<Tried>,
     /// Terms that were there and foresaw no better than without them; they are not tried again.
     pub given_up: Vec<Kind>,
     /// Terms that only the statistic of squares called for.
     pub by_squares: Vec<Kind>,
-    /// The causes beside which several terms ahead have been looked at.
+    /// The causes next to which several terms ahead have been looked at.
     looked_ahead: Vec<Vec<Kind>>,
     /// Whether a table was judged by its repeats.
     pub has_judged_repeats: bool,

@@ -39,7 +39,7 @@ pub(crate) struct Own {
     whole: Vec<f64>,
 }
 
-/// T and U of each trial on each of `lists`, beside the columns of the model's own values. `own` is empty, or what
+/// T and U of each trial on each of `lists`, next to the columns of the model's own values. `own` is empty, or what
 /// other lists have left there for the same trials and noises.
 pub(crate) fn statistics(
     trials: &[Trial],
@@ -120,7 +120,7 @@ fn chunks(trials: &[Trial]) -> Vec<(usize, &[Trial])> {
     chunks
 }
 
-/// What columns take away from lists, beside what the model's own values could absorb; all whitened.
+/// What columns take away from lists, next to what the model's own values could absorb; all whitened.
 ///
 /// ```text
 /// Q  basis of the model's own columns        l ⊥ Q  the lists

@@ -68,7 +68,7 @@ pub(crate) fn without_own_axis(model: &Model) -> Model {
     without
 }
 
-/// Returns the terms that the repeats call for beside what `without` has.
+/// Returns the terms that the repeats call for next to what `without` has.
 fn decided(targets: &Targets, search: &Search<'_>, without: &Fitted) -> Option<Vec<Part>> {
     let problem = search.problem;
     let readings = beside_own_axis(targets, problem, &without.model);

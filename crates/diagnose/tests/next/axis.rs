@@ -28,7 +28,7 @@ fn there_and_back(targets_mm: &[f64], feed: f64) -> Vec<Act> {
     [Act::Go(low, feed)].into_iter().chain(up).chain([Act::Go(high, feed)]).chain(down).collect()
 }
 
-/// To and fro for so many minutes.
+/// To and fro for this many minutes.
 fn run_warm(minutes: f64) -> Vec<Act> {
     let [low, high] = ENDS_MM;
     let strokes = (minutes * HEAT_FEED / (2.0 * (high - low))).ceil() as usize;

@@ -54,7 +54,7 @@ pub struct Score {
     pub is_harmed: bool,
 }
 
-/// Harm on a hold-out: so many times what the machine file as it is leaves (RMS), by the fixed form of the answer.
+/// Harm on a hold-out: this many times what the machine file as it is leaves (RMS), by the fixed form of the answer.
 const HARM: f64 = 1.05;
 
 impl fmt::Display for Score {
@@ -251,7 +251,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
             }
         }
     }
-    // What cannot be told apart here may differ there.
+    // What cannot be distinguished here may differ there.
     let is_claimed = answers.iter().all(|name| named.iter().any(|there| there == name));
     let possible = truth.possible_reduction();
     let reduction = 1.0 - report.after.holdout_rms_um / report.before.holdout_rms_um;

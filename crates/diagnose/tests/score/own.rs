@@ -1,4 +1,4 @@
-//! By how much what several causes do together can be told apart.
+//! By how much what several causes do together can be distinguished.
 
 /// RMS of what `of` does and no mixture of the `others`, and a constant, could do; in the unit of what
 /// is given, over the same rows.
@@ -15,7 +15,7 @@ pub fn own_rms(of: &[f64], others: &[&[f64]]) -> f64 {
     (dot(&left, &left) / left.len() as f64).sqrt()
 }
 
-/// Returns what is left of `um` beside columns that are at right angles to each other.
+/// Returns what is left of `um` next to columns that are at right angles to each other.
 fn beside(um: &[f64], basis: &[Vec<f64>]) -> Vec<f64> {
     let mut left = um.to_vec();
     for column in basis {

@@ -65,7 +65,7 @@ pub struct Judged {
 }
 
 impl Pair {
-    /// Returns all whose causes stand beside each other.
+    /// Returns all whose causes stand next to each other.
     pub fn all() -> Vec<Self> {
         let all = causes();
         let of = |number: usize| all[number + 1..].iter().map(move |b| (number, *b));

@@ -40,12 +40,12 @@ pub fn causes(fault: Fault) -> &'static [&'static str] {
 
 /// No fault is smaller, in RMS of the noise.
 pub const LEAST_RATIO: f64 = 3.0;
-/// Faults are drawn from a little above that to so many times the noise.
+/// Faults are drawn from a little above that to this many times the noise.
 const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
 /// A fault that must be larger to be seen is none of this machine: a room that swings by more than
 /// this, in K, is no room.
 const LARGEST_SIZE: f64 = 8.0;
-/// On another day the answer must not leave more than so many times what the file leaves: the rule of
+/// On another day the answer must not leave more than this many times what the file leaves: the rule of
 /// the answer for a hold-out.
 pub const HARM: f64 = 1.05;
 

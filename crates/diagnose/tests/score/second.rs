@@ -83,7 +83,7 @@ fn halve(effect: &mut Effect, challenge: &Challenge) {
             | "width_um"
             | "second_amplitude_um"
             | "urad_per_m" => 0.0,
-            // Beside an amplitude the time constant stays; alone it is what ages.
+            // Next to an amplitude the time constant stays; alone it is what ages.
             "time_constant_s" if effect.cause == Hidden::ThermalLag => 0.0,
             "time_constant_s"
                 if matches!(effect.cause, Hidden::GrowthRate | Hidden::CoolingAsymmetry) =>

@@ -53,7 +53,7 @@ pub const ALL: [Shipped; 3] = [
     },
 ];
 
-/// The instrument of the axis drifts by so much.
+/// The instrument of the axis drifts by this much.
 const DRIFT: True = True { cause: "drift", inside: Some(("um_per_h", 0.05)) };
 
 fn axis_along() -> Key {

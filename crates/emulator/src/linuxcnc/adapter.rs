@@ -87,12 +87,12 @@ impl Adapter {
         format!("tcp:{}", self.address)
     }
 
-    /// Every so many cycles a pair is passed on.
+    /// Every this many cycles a pair is passed on.
     pub fn set_stride(&mut self, stride: u32) {
         self.stride = stride;
     }
 
-    /// Pairs passed on to the CNC, and frames heard from it.
+    /// Pairs passed on to the CNC, and frames received from it.
     #[must_use]
     pub fn traffic(&self) -> (u64, u64) {
         (self.passed, lock(&self.shared).heard)

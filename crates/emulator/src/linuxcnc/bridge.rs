@@ -37,7 +37,7 @@ use crate::{
 /// How long the model's speed is measured, in ms of the board, once it is up.
 const UP_MS: u64 = 1_000;
 const MEASURED_MS: u64 = 2_000;
-/// What LinuxCNC and its frames may take of this computer: the model is given so many times longer than it
+/// What LinuxCNC and its frames may take of this computer: the model is given this many times longer than it
 /// took without them.
 const MARGIN: f64 = 1.5;
 
@@ -132,7 +132,7 @@ impl Bridge {
         }
     }
 
-    /// Lets the board live for so many milliseconds, with these volts of the sensor and these temperatures
+    /// Lets the board live for this many milliseconds, with these volts of the sensor and these temperatures
     /// by the names of their columns.
     ///
     /// # Errors

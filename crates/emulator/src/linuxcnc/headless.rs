@@ -224,7 +224,7 @@ impl Headless {
     /// Waits until this holds of these pins.
     ///
     /// # Errors
-    /// It does not within so many seconds; with what they are.
+    /// It does not within this many seconds; with what they are.
     pub fn wait(
         &mut self,
         what: &str,

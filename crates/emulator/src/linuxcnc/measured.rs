@@ -97,7 +97,7 @@ pub struct Measured {
 const TIMES: [&str; 4] = ["lag_s", "time_constant_s", "warm_s", "cool_s"];
 
 impl Measured {
-    /// Returns the machine file of a machine that lives so many times faster.
+    /// Returns the machine file of a machine that lives this many times faster.
     ///
     /// # Errors
     /// A time is not a number.

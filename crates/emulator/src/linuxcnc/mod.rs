@@ -99,7 +99,7 @@ pub const WARM_UP_S: u32 = 7_200;
 pub const PASSES: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
 const PATIENCE: Duration = Duration::from_secs(180);
-/// The warm-up may take so many times as long as planned, on a computer that is too slow.
+/// The warm-up may take this many times as long as planned, on a computer that is too slow.
 const SLOWEST: u32 = 6;
 const SEED: u64 = 77;
 

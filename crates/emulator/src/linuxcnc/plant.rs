@@ -9,9 +9,9 @@
 //!
 //! In QEMU the board's clock is the machine's: a second of the wall is `factor` seconds of both. On the
 //! model of the chip a second of the board is some of the wall, and `factor` seconds of the machine; the
-//! record then has one servo cycle in so many, so that a cycle is a millisecond of the machine on both.
-//! LinuxCNC lives in real time throughout. Two machines of the same make and seed are stepped: one hears
-//! what LinuxCNC really commands its motors, with the offsets; the other hears the same less the
+//! record then has one servo cycle in this many, so that a cycle is a millisecond of the machine on both.
+//! LinuxCNC lives in real time throughout. Two machines of the same make and seed are stepped: one receives
+//! what LinuxCNC really commands its motors, with the offsets; the other receives the same less the
 //! external offset that LinuxCNC reports, and so is the machine without compensation.
 
 use std::{
@@ -32,7 +32,7 @@ use trueup_twin::machine::{Command, Machine};
 use super::bridge::Bridge;
 use crate::board::LARGEST_BATCH;
 
-/// At real time the board may fall behind the clock by so much before its time slips. Compressed time
+/// At real time the board may fall behind the clock by this much before its time slips. Compressed time
 /// goes as fast as it can, and nothing waits. The model of the chip takes long to catch up, and its offsets
 /// would be late until then: there a slow computer makes the board's time slower instead.
 const LARGEST_BACKLOG_MS: f64 = 500.0;
@@ -122,7 +122,7 @@ pub struct Account {
     pub slipped_ms: u64,
     /// Servo cycles that `sampler` could not keep.
     pub lost_samples: u64,
-    /// Pairs of offsets passed on to LinuxCNC, and frames heard from it, where they are counted.
+    /// Pairs of offsets passed on to LinuxCNC, and frames received from it, where they are counted.
     pub traffic: Option<(u64, u64)>,
 }
 
@@ -177,7 +177,7 @@ impl Plant {
         });
     }
 
-    /// Lets time pass so many times as fast for the machine.
+    /// Lets time pass this many times as fast for the machine.
     pub fn set_factor(&self, factor: u32) {
         self.shared.factor.store(factor, Ordering::Relaxed);
     }
@@ -360,13 +360,13 @@ impl Loop {
         bridge.end()
     }
 
-    /// Returns whether both halves of the CNC, its real-time part and the component, have just been heard.
+    /// Returns whether both halves of the CNC, its real-time part and the component, have just been received.
     fn cnc_is_there(&self, bridge: &Bridge) -> bool {
         let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
         moves && bridge.has_heard_within(HESITATION)
     }
 
-    /// Lets the board live through so many milliseconds of the machine as it stands.
+    /// Lets the board live through this many milliseconds of the machine as it stands.
     fn live(&mut self, bridge: &mut Bridge, ms: u64, factor: u32) -> Result<()> {
         let shown = self.with.temperatures_c().into_iter();
         let celsius = shown.map(|(column, shown_c)| (column.to_owned(), shown_c)).collect();
@@ -431,7 +431,7 @@ impl Loop {
     }
 }
 
-/// The machine's time goes on by at least so much in a servo cycle.
+/// The machine's time goes on by at least this much in a servo cycle.
 const SHORTEST_STEP_MS: f64 = 1e-3;
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "whole, not negative")]

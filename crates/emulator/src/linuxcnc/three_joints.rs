@@ -63,7 +63,7 @@ net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 pub struct Axis {
     /// Limits and speeds, of the axis and its joint.
     pub limits: String,
-    /// What its joint has beside them; `FOLDER` is where the files are.
+    /// What its joint has next to them; `FOLDER` is where the files are.
     pub joint: String,
 }
 

@@ -121,7 +121,7 @@ pub struct AxisTables {
     pub first: i64,
     /// The number of the last point.
     pub last: i64,
-    /// So many sections are on the negative side of the reference.
+    /// This many sections are on the negative side of the reference.
     negative: usize,
     spacing_mm: f64,
     /// For positive, and where there are two for negative, directions.
@@ -131,7 +131,7 @@ pub struct AxisTables {
 }
 
 impl AxisTables {
-    /// Returns one table, its first value at point 1, so many sections of it before the reference point. `values`
+    /// Returns one table, its first value at point 1, this many sections of it before the reference point. `values`
     /// and `backlash` are in detection units.
     pub(super) fn one(negative: usize, spacing_mm: f64, values: Vec<i64>, backlash: i64) -> Self {
         Self {

@@ -15,9 +15,9 @@ use crate::{
     grid::{best_rows, interpolated, largest_difference, probes_mm},
 };
 
-/// So many pairs of axes there are.
+/// This many pairs of axes there are.
 const MOST_PAIRS: usize = 3;
-/// So many points has a pair.
+/// This many points has a pair.
 const POINTS: usize = 4;
 
 /// Returns the pairs that are exported: the three that reach furthest.
@@ -55,7 +55,7 @@ pub(super) fn chosen<'m>(
 /// A curve of which more than this stays is not written: nine tenths gone is what a compensation is for
 /// (paper 3; `trueup accept`).
 const MOST_LOSS: f64 = 0.1;
-/// So many places of a curve are looked at before it is taken.
+/// This many places of a curve are looked at before it is taken.
 const PLACES: u32 = 1000;
 
 /// One pair of axes as it is written.

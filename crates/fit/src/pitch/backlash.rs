@@ -6,10 +6,10 @@
 //! its sign: a CNC that over-compensates has a negative one. A sweep over more positions gives
 //! their mean, because the largest of many would over-compensate at all the others.
 //!
-//! Readings at several feeds are told apart in `by_feed`: where the width depends on the feed, one feed's
+//! Readings at several feeds are distinguished in `by_feed`: where the width depends on the feed, one feed's
 //! alone is fitted.
 //!
-//! Whether b̄ᵢ changes along the axis is asked by analysis of variance: the scatter of the b̄ᵢ beside
+//! Whether b̄ᵢ changes along the axis is asked by analysis of variance: the scatter of the b̄ᵢ next to
 //! that of the repeats, F at 95 %. Whether B is worth laying in is asked on runs left out.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -30,7 +30,7 @@ use super::{
 };
 use crate::report::{Fact, Parameter, Report, Spread, Verdict};
 
-/// So many positions are a test of backlash, more are a sweep.
+/// This many positions are a test of backlash, more are a sweep.
 const POSITIONS_OF_A_TEST: usize = 3;
 
 /// Below this probability a difference between positions is not chance.

@@ -2,7 +2,7 @@
 //!
 //! Each position has its differences at each feed. Whether the feeds differ is asked by analysis of
 //! variance, the positions as blocks: the scatter of the feeds' means, each position's own mean taken
-//! off, beside that of the repeats at one position and feed, F at 99 %. If they do, no mean of them is
+//! off, next to that of the repeats at one position and feed, F at 99 %. If they do, no mean of them is
 //! right at any feed. One feed's width is fitted, and what it costs at the others is said.
 
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
@@ -75,7 +75,7 @@ pub(super) fn told(
 }
 
 impl ByFeed {
-    /// What the report has of it, beside the width `width_um` that was taken.
+    /// What the report has of it, next to the width `width_um` that was taken.
     pub fn say(&self, report: &mut Report, width_um: f64) {
         let chosen = self.widths[self.chosen].0;
         report.facts.push(Fact::number("at_feed_mm_per_min", chosen));

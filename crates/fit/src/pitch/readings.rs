@@ -63,7 +63,7 @@ pub(super) struct Wanted<'a> {
     pub runs: Option<&'a [f64]>,
     /// Taken off each row's value, in µm.
     pub known_um: Option<&'a [f64]>,
-    /// Whether readings at several feeds are to be told apart.
+    /// Whether readings at several feeds are to be distinguished.
     pub by_feed: bool,
     /// Whether positions must rise and fall with the direction of approach.
     pub in_order: bool,
@@ -213,7 +213,7 @@ fn no_column(file: &Unaided<'_>, name: &str) -> BadInput {
     BadInput::new(place, String::new())
 }
 
-/// Returns the column `stem_unit`, which must not be there in another unit, be it beside it or instead.
+/// Returns the column `stem_unit`, which must not be there in another unit, be it next to it or instead.
 fn column_in<'f>(file: &'f Unaided<'_>, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
     const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");

@@ -1,4 +1,4 @@
-//! How far repeats lie apart, beside how far targets do.
+//! How far repeats lie apart, next to how far targets do.
 
 /// The scatter of repeats and the shape of the means.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -19,7 +19,7 @@ use crate::{
     report::{Fact, Parameter, Report, Spread},
 };
 
-/// The standard asks for so many arrivals at each target in each direction.
+/// The standard asks for this many arrivals at each target in each direction.
 const RUNS_OF_THE_STANDARD: usize = 5;
 
 /// What was measured, whatever becomes of it.

@@ -48,7 +48,7 @@ pub(super) struct Grid {
 }
 
 impl Grid {
-    /// So many points from the first target to the last, at whole units of the board, so that its
+    /// This many points from the first target to the last, at whole units of the board, so that its
     /// table stands where this one does.
     pub(super) fn over(targets_mm: &[f64], points: usize) -> Self {
         let (start, end) = ends(targets_mm);

@@ -2,7 +2,7 @@
 //! of squares.
 //!
 //! The sum of squares has many valleys over the knots, so they are sought in three ways, of which
-//! the best is kept: one more knot where it gains most beside those of the fit before; all knots
+//! the best is kept: one more knot where it gains most next to those of the fit before; all knots
 //! spread again so that each interval holds an equal share of |f⁗|^¼, which is where the best knots
 //! lie as they become many; and the knot that is missed least put where it gains most, again and
 //! again. From each start all knots then slide to the bottom of the valley together, by
@@ -55,7 +55,7 @@ pub(super) struct Search<'s> {
 impl<'s> Search<'s> {
     pub(super) fn new(sites: &'s Sites, support: Support) -> Self {
         let [first, last] = sites.ends();
-        // A quarter of the mean spacing: two knots for one kink are possible, and told apart.
+        // A quarter of the mean spacing: two knots for one kink are possible, and distinguished.
         let least_gap = 0.25 * (last - first) / (sites.len() - 1) as f64;
         Self { sites, support, least_gap }
     }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::bspline::{clamped, least_squares};
 
-/// Knots are looked for over at most so many sites; of more, neighbours are joined. The fit itself,
+/// Knots are looked for over at most this many sites; of more, neighbours are joined. The fit itself,
 /// its residuals and the criterion take all of them.
 pub(super) const MOST_CELLS: usize = 600;
 

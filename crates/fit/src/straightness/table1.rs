@@ -1,4 +1,4 @@
-//! The paper's Table 1 of the user's own runs: each [way](Way) to a curve beside the others, on each curve and
+//! The paper's Table 1 of the user's own runs: each [way](Way) to a curve next to the others, on each curve and
 //! on the diagonals that two curves make, with what its corners ask of the machine.
 //!
 //! A run in which one axis moves is a curve. One in which several move along a straight line is a diagonal, and
@@ -62,7 +62,7 @@ pub struct Entry {
     pub without: Left,
     /// What each way leaves, and asks of the machine.
     pub rows: Vec<Row>,
-    /// A curve by the paper's way: so many control points leave a largest residual of so many µm.
+    /// A curve by the paper's way: this many control points leave a largest residual of this many µm.
     pub steps: Vec<(usize, f64)>,
 }
 

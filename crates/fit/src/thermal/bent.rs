@@ -21,7 +21,7 @@ const WORTH_ROWS: f64 = 0.05;
 const MOST_ROWS: usize = 20_000;
 /// Rows for each of a table's values.
 const ROWS_A_VALUE: usize = 6;
-/// Where a kink is tried first: so many equal parts between the coldest and the warmest.
+/// Where a kink is tried first: this many equal parts between the coldest and the warmest.
 const PARTS: usize = 16;
 /// Tables of equal steps.
 const ROWS: [usize; 4] = [4, 5, 6, 8];

@@ -1,5 +1,5 @@
 //! Straightness in closed form: what is known beforehand is found, noise is not fitted, and what is
-//! wrong with a run is told.
+//! wrong with a run is reported.
 
 use std::{borrow::Cow, f64::consts::TAU, path::Path};
 

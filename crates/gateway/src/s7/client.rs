@@ -26,7 +26,7 @@ const TIMEOUT: Duration = Duration::from_millis(500);
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 /// The PDU that is asked for; the smallest CPUs grant 240.
 const PDU_LENGTH: u16 = 480;
-/// The bytes of a write beside its data: header, one item, head of the data.
+/// The bytes of a write next to its data: header, one item, head of the data.
 const WRITE_OVERHEAD: usize = 28;
 const TPKT_LEN: usize = 4;
 const COTP_DATA: [u8; 3] = [0x02, 0xF0, 0x80];
@@ -38,7 +38,7 @@ const SET_UP: u8 = 0xF0;
 const READ: u8 = 4;
 const WRITE: u8 = 5;
 const DONE: u8 = 0xFF;
-/// An S7 "basic" connection, beside those of programming devices and panels.
+/// An S7 "basic" connection, next to those of programming devices and panels.
 const BASIC: u8 = 3;
 
 /// Where a CPU is.

@@ -53,7 +53,7 @@ pub(super) fn plan(k: f64, first: f64, rows: f64, open: Open) -> Plan {
     best.map_or(Plan { bound: 2.0 * k, height: 10.0 * k }, |it| it.0)
 }
 
-/// Returns h of one sum that runs for so many rows on average. No two readings reach it.
+/// Returns h of one sum that runs for this many rows on average. No two readings reach it.
 fn height(k: f64, bound: f64, rows: f64, open: Open) -> f64 {
     let law = Law { mean: open.mean, scatter: open.scatter };
     let (mut low, mut high) = (2.0 * bound, 120.0 * bound);

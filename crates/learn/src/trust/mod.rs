@@ -30,15 +30,15 @@ use cusum::{Open, Plan};
 pub const CHANGE: f64 = 3.0;
 /// Fewer readings do not say what the noise is: with 40 σ is known to an eighth, and h has room for that.
 const FEWEST: usize = 40;
-/// A memory beyond this cannot be told from a drift: 50 rows.
+/// A memory beyond this cannot be distinguished from a drift: 50 rows.
 const MOST_MEMORY: f64 = 0.98;
-/// A reading beyond so many standard deviations is bad, or the machine has changed: one good one in 16 000.
+/// A reading beyond this many standard deviations is bad, or the machine has changed: one good one in 16 000.
 const GROSS: f64 = 4.0;
 /// Standard errors of a bound that holds nineteen times of twenty.
 const BOUND: f64 = 1.645;
-/// Readings are in a row where they are no farther apart than so many steps of the clock.
+/// Readings are in a row where they are no farther apart than this many steps of the clock.
 const NEXT: f64 = 1.5;
-/// No alarm is falsely raised oftener than once in so many readings, however far apart these are: a machine that is probed twice
+/// No alarm is falsely raised oftener than once in this many readings, however far apart these are: a machine that is probed twice
 /// a day has few in 1,000 hours.
 const FEWEST_ROWS: f64 = 1000.0;
 
@@ -94,7 +94,7 @@ pub struct Trust {
     pub noise: Noise,
     /// The rows that were looked at.
     pub rows: usize,
-    /// So many hours pass on average between two false alarms.
+    /// This many hours pass on average between two false alarms.
     pub false_alarm_h: f64,
     /// Rows, from 1, of readings that stand alone and did not count in full.
     pub outliers: Vec<usize>,
@@ -112,7 +112,7 @@ impl Noise {
         Self::by_gaps(&apart_um.iter().map(|um| (1.0, *um)).collect::<Vec<_>>(), row_s)
     }
 
-    /// Returns the same where each reading is so many rows after the one before it.
+    /// Returns the same where each reading is this many rows after the one before it.
     fn by_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
         let there: Vec<f64> = rows.iter().map(|it| it.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
@@ -157,7 +157,7 @@ impl Noise {
 }
 
 impl Watch {
-    /// With a false alarm in so many hours on average, above 0, and in no fewer than 1,000 readings.
+    /// With a false alarm in this many hours on average, above 0, and in no fewer than 1,000 readings.
     #[must_use]
     pub fn new(noise: Noise, false_alarm_h: f64) -> Self {
         let rho = noise.memory;

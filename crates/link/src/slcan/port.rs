@@ -26,7 +26,7 @@ pub const TX_CAPACITY: usize = 256;
 /// Room that frames leave for answers, so that a client is answered while frames pile up.
 const ANSWER_RESERVE: usize = 32;
 
-/// The version of hardware and software that clients are told, two digits each.
+/// The version of hardware and software that clients are reported, two digits each.
 const VERSION: &[u8] = b"V1013\r";
 
 /// What went wrong since the start. Each count stops at its largest value.

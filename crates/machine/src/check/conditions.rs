@@ -13,7 +13,7 @@ use crate::{
 /// Run files).
 const MAX_LEVELS: usize = 12;
 const MIN_LEVEL_ROWS: usize = 8;
-/// Columns that a recorder writes beside the known ones.
+/// Columns that a recorder writes next to the known ones.
 const RECORDED: [&str; 3] = ["flags", "age_ms", "elongation_um"];
 
 /// Returns a sentence for each column of `run` that has few values and is no condition in `machine` yet.

@@ -1,4 +1,4 @@
-//! Where things are: the tool's direction, and tables and curves beside the travel of their axis.
+//! Where things are: the tool's direction, and tables and curves next to the travel of their axis.
 
 use super::{
     extent::{ends_mm, knots_mm},

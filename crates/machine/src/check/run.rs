@@ -23,7 +23,7 @@ const HALF: f64 = 0.5;
 /// one by chance.
 const FEWEST_ROWS: usize = 3;
 
-/// So many rows are held against the model: a long run need not be predicted whole to know its unit.
+/// This many rows are held against the model: a long run need not be predicted whole to know its unit.
 const LOOKED_AT: usize = 10_000;
 
 /// What a sensor gives at most, in V: 10 V, and a tenth more where it overruns.

@@ -6,7 +6,7 @@ use crate::{
     inputs::SensorInput,
 };
 
-/// A SIMATIC S7's analogue input gives so many counts at 10 V (its manual); the paper's controller, and
+/// A SIMATIC S7's analogue input gives this many counts at 10 V (its manual); the paper's controller, and
 /// with it many examples, 32768.
 pub(super) const S7_COUNTS: f64 = 27_648.0;
 /// What a signed 16-bit input would give at full scale.
@@ -64,7 +64,7 @@ fn negative_gain(machine: &Machine, model: &SensorModel) -> Option<Warning> {
     })
 }
 
-/// 500 µm over 27648 counts beside a full scale of 32768, or the other way round: the range of the sensor
+/// 500 µm over 27648 counts next to a full scale of 32768, or the other way round: the range of the sensor
 /// is a round number by one of the two inputs, and not by the one that the file names.
 fn counts_of_another_input(
     machine: &Machine,

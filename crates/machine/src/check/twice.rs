@@ -38,7 +38,7 @@ fn pasted_twice(machine: &Machine) -> Vec<Warning> {
     repeats.collect()
 }
 
-/// Returns a `backlash` term beside a section that has the width already.
+/// Returns a `backlash` term next to a section that has the width already.
 fn backlash(machine: &Machine) -> Vec<Warning> {
     let terms = machine.terms.iter().enumerate();
     let doubled = terms.filter_map(|(index, term)| {
@@ -68,7 +68,7 @@ fn backlash(machine: &Machine) -> Vec<Warning> {
     doubled.collect()
 }
 
-/// Returns a squareness beside a straightness curve of the same two axes that still contains it: its ends are as
+/// Returns a squareness next to a straightness curve of the same two axes that still contains it: its ends are as
 /// far apart as the squareness makes them.
 fn squareness(machine: &Machine) -> Vec<Warning> {
     let lines = machine.squareness.iter();

@@ -7,7 +7,7 @@
 //! | clock | how long a spindle runs without a stop, how fast a part warms |
 //! | error | whether any gauge resolves it, whether any machine has it |
 //!
-//! Impossible is refused, unlikely is a warning; the user accepts a column by its name. A furnace beside the
+//! Impossible is refused, unlikely is a warning; the user accepts a column by its name. A furnace next to the
 //! machine, a record of weeks and a warm start are none of these: what only another column than the model's
 //! shows is never refused.
 
@@ -29,7 +29,7 @@ const FEWEST_ROWS: usize = 3;
 const MOST_COLDEST_C: f64 = 120.0;
 /// The ends of IEC 60751: no resistance thermometer shows what is beyond.
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
-/// A machine that stands is at 10 to 35 °C, which is so many °F …
+/// A machine that stands is at 10 to 35 °C, which is this many °F …
 const STANDING_F: std::ops::RangeInclusive<f64> = 50.0..=95.0;
 /// What stands in one workshop is no further apart than this, in °C.
 const APART_C: f64 = 5.0;
@@ -45,7 +45,7 @@ const LONGEST_THROUGH_S: f64 = 2.0 * 86_400.0;
 const OWN_HEAT_C: f64 = 8.0;
 /// A part of a machine warms by no more than this, in K/s: 10 K/min, what a live thermometer is believed.
 const MOST_C_PER_S: f64 = 10.0 / 60.0;
-/// It is asked over so many rows, between means of so many at both ends that are at least so many K apart: noise
+/// It is asked over this many rows, between means of this many at both ends that are at least this many K apart: noise
 /// is not.
 const RATE_ROWS: usize = 20;
 const RATE_MEAN: usize = 3;
@@ -143,7 +143,7 @@ fn temperature(
 }
 
 /// Returns whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show
-/// what it would in °C. What is warm from the first row on is no °F beside them.
+/// what it would in °C. What is warm from the first row on is no °F next to them.
 fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     let Some([least_f, most_f]) = range(&column.values) else { return true };
     let others = thermometers.iter().filter(|other| other.name != column.name);

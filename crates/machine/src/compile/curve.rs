@@ -3,7 +3,7 @@
 //!
 //! A segment ends at the knot, rounded to the board's 10 nm, and carries the very polynomial of
 //! the piece: a cubic through four points of a cubic is the cubic itself. The only differences are
-//! the rounding of the coefficients, and the 5 nm by which a knot may lie beside its polynomial's
+//! the rounding of the coefficients, and the 5 nm by which a knot may lie next to its polynomial's
 //! end, over which the polynomial is simply followed.
 //!
 //! On the way back each knot stands three times: the Bézier points of a segment's cubic are the

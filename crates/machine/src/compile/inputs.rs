@@ -25,7 +25,7 @@ use crate::{
 /// The board stores a rate in tenths of a kelvin a minute.
 const TENTHS: f64 = 10.0;
 
-/// A linear chain delivers so many parts of a count.
+/// A linear chain delivers this many parts of a count.
 const DELIVERED_PER_COUNT: f64 = 256.0;
 
 /// The inputs of a machine that comes from a calibration: one count is one ADC code, exactly.
@@ -43,7 +43,7 @@ pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, 
     })
 }
 
-/// Returns the lines of `[inputs]` that a board needs beside those of `machine` for the temperatures of its laws and
+/// Returns the lines of `[inputs]` that a board needs next to those of `machine` for the temperatures of its laws and
 /// terms; each gets the first channel that is free. Nothing where none is missing.
 ///
 /// What is connected there nobody knows here: a PT100 is written, the usual thermometer.

@@ -45,7 +45,7 @@ const CHECKED_K: f64 = 60.0;
 /// And speeds and loads up to these.
 const CHECKED_RPM: f64 = 60_000.0;
 const CHECKED_N: f64 = 32_767.0;
-/// The board's loads are so many parts of a newton.
+/// The board's loads are this many parts of a newton.
 pub(crate) const PARTS_OF_N: f64 = 256.0;
 
 /// A term with tables of its own.
@@ -285,9 +285,9 @@ fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
         .map(|(gradient, nm)| (Effect::Position { axis: linear(axis), gradient }, nm))
 }
 
-/// The board's lever in m: an angle of 1 µrad is so many µm there.
+/// The board's lever in m: an angle of 1 µrad is this many µm there.
 pub(crate) const LEVER_M: f64 = term::LEVER.0 as f64 / UNITS_PER_MM / 1000.0;
-/// Levers are held against the model up to 15 m: so many of the board's.
+/// Levers are held against the model up to 15 m: this many of the board's.
 pub(crate) const MOST_LEVERS: f64 = 15.0 / LEVER_M;
 
 /// Returns a tilt of the own axis or another.

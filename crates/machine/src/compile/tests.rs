@@ -37,7 +37,7 @@ fn the_papers_constants_are_exact_in_the_boards_integers() {
     assert!(compiled.largest_difference_nm < 1e-9);
 }
 
-/// 10 V are 3.28 of 3.3 V, 0.99394 of 2²² reading units: 500 000 nm over so many, times 2²⁸, are
+/// 10 V are 3.28 of 3.3 V, 0.99394 of 2²² reading units: 500 000 nm over this many, times 2²⁸, are
 /// 32 195 121.95; 5048 of 32768 counts are 642 227.98 units.
 #[test]
 fn behind_the_divider_of_the_wiring_the_constants_are_the_nearest_integers() {

@@ -131,7 +131,7 @@ pub(super) fn inverse(warmup: &SpindleWarmup<'_>) -> Warmup {
 fn power_law(curve: &Curve<'_>) -> Option<(f64, f64)> {
     /// Rounding of a segment's coefficients, in units of its value.
     const ROUNDING: f64 = 8.0;
-    /// The curve ends at so many times the rated heat, or at the fastest speed.
+    /// The curve ends at this many times the rated heat, or at the fastest speed.
     const MOST: f64 = 4.0;
     let first = curve.first().0;
     let mut places: Vec<i32> = vec![first];

@@ -12,7 +12,7 @@
 //! ```
 //!
 //! which is linear in c, a and b. So a start from cold, a scale that is right at another temperature
-//! and a shift of the whole axis with its temperature are in the term, and need none beside it.
+//! and a shift of the whole axis with its temperature are in the term, and need none next to it.
 
 use super::{
     heat,

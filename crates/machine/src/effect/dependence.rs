@@ -153,7 +153,7 @@ impl Dependence {
         }
     }
 
-    /// Returns how many levels, from the first on, have no amplitude: a constant could not be told from theirs.
+    /// Returns how many levels, from the first on, have no amplitude: a constant could not be distinguished from theirs.
     fn without_amplitude(&self) -> usize {
         usize::from(self.times == Times::One)
     }

@@ -22,7 +22,7 @@ pub(crate) const FEED: &str = "feed_mm_per_min";
 /// Feeds that differ by less are one: the share by which an override knob steps.
 const SAME_FEED: f64 = 0.01;
 
-/// More feeds than a person would set are a feed that varies; it is followed at so many.
+/// More feeds than a person would set are a feed that varies; it is followed at this many.
 const MOST_FEEDS: usize = 6;
 
 /// A width for each of some feeds.

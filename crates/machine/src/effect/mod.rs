@@ -434,7 +434,7 @@ impl Effect {
         self.nonlinear().contains(&Nonlinear::Period)
     }
 
-    /// Returns whether its amplitudes are the sines and cosines of waves, whose sizes and phases are told.
+    /// Returns whether its amplitudes are the sines and cosines of waves, whose sizes and phases are reported.
     #[must_use]
     pub fn has_phase(&self) -> bool {
         self.is_wave() || self.nonlinear().contains(&Nonlinear::TimePeriod)

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! A diagnosis works with the neutral value of a cause, which changes nothing, and with a list of
-//! numbers beside it: first the [nonlinear](Page::nonlinear) ones (a time constant, a period), then
+//! numbers next to it: first the [nonlinear](Page::nonlinear) ones (a time constant, a period), then
 //! amplitudes, which are 0 where there is no effect. [`Page::set`] puts the two together.
 
 use trueup_core::term::SpeedPower;
@@ -42,7 +42,7 @@ pub enum Input<'a> {
     Time,
     /// The number of the repeat.
     Run,
-    /// A temperature in °C, behind a first-order lag of so many seconds (0: none).
+    /// A temperature in °C, behind a first-order lag of this many seconds (0: none).
     Temperature {
         /// Its column, `temp_<name>_c`.
         column: &'a str,
@@ -144,7 +144,7 @@ pub enum OnBoard {
     Gain(f64),
     /// + c·p², c in 1/µm.
     Curvature(f64),
-    /// At most so many µm.
+    /// At most this many µm.
     Saturation(f64),
     /// + c·(lag_τ(T) − T_ref).
     Heat(Heat),

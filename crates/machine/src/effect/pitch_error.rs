@@ -115,7 +115,7 @@ impl Definition for PitchError {
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        // The table's keys are those of [axis.x.pitch], beside the common ones.
+        // The table's keys are those of [axis.x.pitch], next to the common ones.
         Ok(Self(read_pitch(section)?))
     }
 

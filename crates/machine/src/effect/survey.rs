@@ -97,7 +97,7 @@ pub trait Survey {
     fn groups(&self) -> usize;
     /// Returns the time of the first row of a group, in s.
     fn time_of_group(&self, group: usize) -> f64;
-    /// So many time constants in equal ratios, from the spacing of the rows to what the longest
+    /// This many time constants in equal ratios, from the spacing of the rows to what the longest
     /// series can show; none without a clock.
     fn time_constants(&self, count: usize) -> Settings;
     /// Shifts in time that the record can show, in s, in equal ratios from the spacing of the rows; those
@@ -207,7 +207,7 @@ pub(crate) fn targets(values: &[f64], share: f64) -> Vec<f64> {
     targets.into_iter().map(|(sum, count)| sum / count).collect()
 }
 
-/// Returns the knots of a cubic spline with so many control points over these places.
+/// Returns the knots of a cubic spline with this many control points over these places.
 pub(crate) fn even_knots(at: &[f64], controls: usize) -> Vec<f64> {
     let (low, high) = (at[0], at[at.len() - 1]);
     let spans = controls - 3;

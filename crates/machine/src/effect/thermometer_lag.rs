@@ -142,7 +142,7 @@ impl Definition for ThermometerLag {
         Ok(Self { time_constant_s, form: form.unwrap_or(lag) })
     }
 
-    // Beside a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
+    // Next to a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         let Some(believed_s) = survey.believed_lag_s() else { return };
         if believed_s == 0.0 && !survey.has(Self::NAME) {

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! What is measured can come late for many reasons: a filter, a slow gauge. It cannot come early but
-//! by another clock: a shift below 0 is looked for only where the run has the gauge's own clock beside
+//! by another clock: a shift below 0 is looked for only where the run has the gauge's own clock next to
 //! `time_s`, `gauge_time_s`.
 
 use super::{

@@ -74,9 +74,9 @@ pub struct AxisModel {
     pub thermal: Option<Thermal>,
     /// Its position errors; of the first of two drives where there is a `dual`.
     pub pitch: Option<Pitch>,
-    /// Its backlash; only with feedback on the screw, and not beside a reverse table.
+    /// Its backlash; only with feedback on the screw, and not next to a reverse table.
     pub backlash: Option<Backlash>,
-    /// The second drive; only beside a `pitch`.
+    /// The second drive; only next to a `pitch`.
     pub dual: Option<Dual>,
 }
 
@@ -203,7 +203,7 @@ pub struct Backlash {
     /// The error of an approach in the negative direction, in µm; negative for a CNC that
     /// over-compensates.
     pub width_um: f64,
-    /// On the board it comes in over so much travel after a reversal, in mm; at least 0.
+    /// On the board it comes in over this much travel after a reversal, in mm; at least 0.
     pub ramp_mm: f64,
     /// On the board a reversal counts once the axis has moved so far, in µm; at least 0.
     pub hysteresis_um: f64,

@@ -75,7 +75,7 @@ pub(super) fn faults_of_term(section: &Section<'_>) -> Vec<BadInput> {
                 && section.required::<()>(key.name, None).is_err_and(|missing| missing == error)
         };
         let Some(key) = keys.iter().find(is_missing) else {
-            // A rule of the page beside an example says nothing of what is there.
+            // A rule of the page next to an example says nothing of what is there.
             faults.extend(Some(error).filter(|_| added.is_empty()));
             return faults;
         };

@@ -1,7 +1,7 @@
 //! Writes machine files: whole, or what changes in the user's.
 //!
 //! In the user's file the keys of the section that is written are replaced, added or taken away, and
-//! nothing else changes: order, blanks, comments (those beside the keys that are replaced as well),
+//! nothing else changes: order, blanks, comments (those next to the keys that are replaced as well),
 //! byte order mark and line ends are the user's. It makes no difference whether the user wrote the
 //! section under a header, with dotted keys, or as an inline table.
 //!
@@ -29,7 +29,7 @@ pub struct Edit {
     /// Sections to replace or to add.
     pub sections: Vec<NewSection>,
     /// Sections or keys to take away, by their dotted names, because they contradict the new ones:
-    /// `axis.x.backlash` beside a new reverse table. What is not there is no error.
+    /// `axis.x.backlash` next to a new reverse table. What is not there is no error.
     pub removed: Vec<String>,
     /// Keys to write only where the user has not: section, key, value.
     pub defaults: Vec<(String, &'static str, Value)>,
@@ -53,7 +53,7 @@ impl Edit {
         self.sections.is_empty() && self.replaced.is_empty() && self.appended.is_empty()
     }
 
-    /// Returns what is written, alone, as TOML; what a machine file may need beside it is said in comments.
+    /// Returns what is written, alone, as TOML; what a machine file may need next to it is said in comments.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut document = DocumentMut::new();

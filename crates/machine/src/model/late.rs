@@ -65,7 +65,7 @@ pub fn part_of_means(late: Late, time_s: &[f64], apart_s: &[f64], mean_c: &[f64]
 #[derive(Default)]
 struct Inner {
     rows: Range<usize>,
-    /// The value of a row, that at the first end and that at the second one are taken so many times.
+    /// The value of a row, that at the first end and that at the second one are taken this many times.
     times: [f64; 3],
     /// How far the ends are from a row: whole rows, and the rest.
     ends: [(isize, f64); 2],

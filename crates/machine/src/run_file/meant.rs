@@ -2,11 +2,11 @@
 //! keyboard.
 //!
 //! Such a column would be kept as a possible explanation, and the user would wait in vain for it to be
-//! used. So it is told, with the name that was probably meant.
+//! used. So it is reported, with the name that was probably meant.
 
 use super::{clock::is_of_logger, known::KNOWN_COLUMNS};
 
-/// Known columns without their unit, with it, and whether the name alone, without any unit, is told.
+/// Known columns without their unit, with it, and whether the name alone, without any unit, is reported.
 const KNOWN: [(&str, &str, bool); 19] = [
     ("time", "s", true),
     ("gauge_time", "s", true),
@@ -132,7 +132,7 @@ fn of_list(plain: &str) -> Option<String> {
     })
 }
 
-/// `temp_bed`, `temp_bed_f`, `bed_temp_c`: what has a name beside the word and the unit.
+/// `temp_bed`, `temp_bed_f`, `bed_temp_c`: what has a name next to the word and the unit.
 fn temperature(plain: &str) -> Option<String> {
     let mut parts: Vec<&str> = plain.split('_').collect();
     let word = parts.iter().position(|part| ["temp", "temperature"].contains(part))?;

@@ -28,7 +28,7 @@ impl TimeOrder {
     }
 
     /// Looks at the next row, a value and its place for each column; else the column at fault, the rule
-    /// that it breaks, and whether it may be summer time. The rows after it are held against it: a clock that was set back is told once.
+    /// that it breaks, and whether it may be summer time. The rows after it are held against it: a clock that was set back is reported once.
     pub(super) fn check(
         &mut self,
         row: &[(f64, usize)],

@@ -1,5 +1,5 @@
 //! A run file read line by line into columns. What is wrong with a row does not keep the next ones from being
-//! looked at: all faults of a file are told at once.
+//! looked at: all faults of a file are reported at once.
 
 use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
 

@@ -71,7 +71,7 @@ fn times_of_day_are_seconds_from_the_first() {
     assert_eq!(epoch_s("time_s\n2026-11-23 00:00:01\n"), Some(1_795_392_001.0));
     assert_eq!(epoch_s("time\n1795392001\n"), None, "these are counted from 1970");
     assert_eq!(epoch_s("time_s,gauge_time_s\n5,2026-11-23T00:00:01Z\n"), None);
-    // A second clock counts from the same instant; beside seconds a time of day says nothing new.
+    // A second clock counts from the same instant; next to seconds a time of day says nothing new.
     let run = parse("time,gauge_time_s\n2026-11-22T08:00:00Z,2026-11-22T08:00:03Z\n");
     assert_eq!(run.column("gauge_time_s").expect("kept"), [3.0]);
     let run = parse("time_s,time\n5,2026-11-22T08:00:00Z\n");

@@ -1,4 +1,4 @@
-//! The board's own code beside the model, at one moment after the other.
+//! The board's own code next to the model, at one moment after the other.
 
 use trueup_core::{
     calibration::Calibration,

@@ -46,7 +46,7 @@ impl<'c> Rig<'c> {
         }
     }
 
-    /// Returns the offset after so many milliseconds, in nm.
+    /// Returns the offset after this many milliseconds, in nm.
     pub fn offset_nm(&mut self, ms: u32) -> [i32; 3] {
         let mut last = None;
         for _ in 0..ms {

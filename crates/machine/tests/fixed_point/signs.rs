@@ -133,7 +133,7 @@ fn on_a_reversal_the_axis_moves_by_the_backlash_further_and_the_table_arrives() 
 
 #[test]
 fn straightness_adds_up_across_the_axes() {
-    // Each a straight line from 0 at 0 to so many µm at 100 mm.
+    // Each a straight line from 0 at 0 to this many µm at 100 mm.
     let curves = [
         ("x_of_y", 1),
         ("x_of_z", 2),

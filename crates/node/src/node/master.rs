@@ -35,7 +35,7 @@ pub enum Line {
     Modbus,
 }
 
-/// So many accepted frames in a row make the engage sequence, and an edge believable.
+/// This many accepted frames in a row make the engage sequence, and an edge believable.
 const STEADY: u8 = 3;
 /// The weight of a frame out of sequence, and the sum that is a second master: three frames.
 const WEIGHT: u8 = 4;
@@ -176,7 +176,7 @@ impl Master {
             self.quiet_ms = 0;
             // It may be another sender.
             (self.has_engaged, self.was_interrupted) = (false, true);
-            // So much more that it lasts for a while after the last of them.
+            // This much more that it lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
             self.is_doubtful |= self.strange >= SECOND_MASTER;
         }

@@ -21,7 +21,7 @@ fn block(control: Control, counter: u16) -> cnc::Registers {
     Cnc { control, ..Cnc::default() }.encode(counter)
 }
 
-/// Lets so many milliseconds pass with a sensor at this code.
+/// Lets this many milliseconds pass with a sensor at this code.
 fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
     for n in 0..ms {
         let noise = core::array::from_fn(|i| Code(code + u16::from((n as usize + i) % 2 == 1)));

@@ -17,7 +17,7 @@ impl Node<'_> {
         Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
     }
 
-    /// Goes on from before a reset, or from so many seconds without power ago; with nothing kept, the power was
+    /// Goes on from before a reset, or from this many seconds without power ago; with nothing kept, the power was
     /// gone, and what heat the machine has is not known. A board that is cold at its start does not call this.
     pub fn resume(&mut self, kept: Option<&Kept>, off_s: u32) {
         let Some(bridge) = &self.bridge else { return };
@@ -28,7 +28,7 @@ impl Node<'_> {
         }
     }
 
-    /// So much time has passed by a clock that does not count samples. Gives for how long there were
+    /// This much time has passed by a clock that does not count samples. Gives for how long there were
     /// none, if that is more than a turn of the supervisor: a tick without any makes up for it.
     pub fn catch_up(&mut self, elapsed_ms: u32) -> Option<u32> {
         self.clock = self.clock.after(elapsed_ms);

@@ -39,7 +39,7 @@ struct Rig<'a> {
 }
 
 impl Rig<'_> {
-    /// So many milliseconds; the status items with their times.
+    /// This many milliseconds; the status items with their times.
     fn pass(&mut self, ms: u32, kelvin_tenths: i32, x_mm: i32, engage: bool) -> Vec<(u32, Item)> {
         let mut items = vec![];
         let mut raw: RawTemperatures = [Raw::NONE; CHANNELS];

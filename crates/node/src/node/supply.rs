@@ -1,4 +1,4 @@
-//! The converter's supply, watched: what it does to readings, and when it is told.
+//! The converter's supply, watched: what it does to readings, and when it is reported.
 
 use super::Node;
 use trueup_canopen::emergency::Fault;

@@ -7,7 +7,7 @@ use trueup_canopen::{dictionary::Authority, sdo::Abort};
 
 use super::Node;
 
-/// So many equal readings, one in 10 ms, are a position of the switch: contacts bounce for less than 20 ms.
+/// This many equal readings, one in 10 ms, are a position of the switch: contacts bounce for less than 20 ms.
 const STEADY: u8 = 5;
 
 /// The switch, debounced; open until it has been closed for its time.

@@ -23,7 +23,7 @@ std::thread_local! {
     static SERVICE: core::cell::Cell<Option<u8>> = const { core::cell::Cell::new(None) };
 }
 
-/// Lets so many milliseconds pass without samples; gives what was said besides the offsets.
+/// Lets this many milliseconds pass without samples; gives what was said besides the offsets.
 fn pass(node: &mut Node<'_>, ms: u32) -> Vec<Frame> {
     let said = (0..ms).flat_map(|_| {
         node.tick(1, Input::default());
@@ -191,7 +191,7 @@ fn a_loaded_calibration_is_checked_stored_and_read_back() {
         let end = said.iter().find(|frame| frame.id() == SDO_ANSWER_ID).expect("an answer");
         assert!(answer.contains(&end.data()[0]), "{fate:?}: {end:?}");
         let stored = fate == Outcome::Stored;
-        // What is stored for the next start is told, whatever became of a load after it.
+        // What is stored for the next start is reported, whatever became of a load after it.
         assert_eq!(read(&mut node, 0x2100, 4), Ok(identity(&other)), "{fate:?}");
         if stored {
             assert_eq!(read_domain(&mut node, 0x2100, 2), other);

@@ -69,7 +69,7 @@ fn a_board_on_a_fall_back_marks_every_frame() {
     }
 }
 
-/// Returns a node that has heard the engage sequence but for its end; the next counter is 3.
+/// Returns a node that has received the engage sequence but for its end; the next counter is 3.
 fn started() -> Node<'static> {
     let mut node = Node::new(Some(tests_calibration()), false);
     for frame in frames::released() {

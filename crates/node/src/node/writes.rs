@@ -22,9 +22,9 @@ pub(super) struct Log {
     /// Where the last SDO request came from, and that which has ended a load.
     speaker: Option<Line>,
     loader: Option<Line>,
-    /// No CNC was heard at the end of that load.
+    /// No CNC was received at the end of that load.
     is_unattended: bool,
-    /// The time of day that was told, and when.
+    /// The time of day that was reported, and when.
     utc: Option<(u32, Millis)>,
 }
 
@@ -102,7 +102,7 @@ impl Node<'_> {
         self.log.utc = (utc_s > 0).then_some((utc_s, self.now));
     }
 
-    /// A calibration is stored for the next start. One that replaces somebody's while no CNC is heard asks the
+    /// A calibration is stored for the next start. One that replaces somebody's while no CNC is received asks the
     /// operator then; the example's constants are nobody's.
     pub(super) fn log_load(&mut self, crc: u32) {
         let running = self.running_crc();
@@ -137,7 +137,7 @@ impl Node<'_> {
     /// Hands a write to the board, which stores it.
     pub(super) fn push(&mut self, write: Write) {
         if self.log.waiting.push_back(write).is_err() {
-            // The board does not store: it is told all the same.
+            // The board does not store: it is reported all the same.
             self.log.last.push(&write);
         }
     }

@@ -99,7 +99,7 @@ fn a_thousand_resets_are_within_a_micrometre_of_a_bridge_without_them() {
     resets(1_000, 4);
 }
 
-/// What may make a bridge change its source, beside the sensor's cable.
+/// What may make a bridge change its source, next to the sensor's cable.
 const CAUSES: [Option<(Part, Kind)>; 5] = [
     None,
     Some((Part::SpindleThermometer, Kind::Off)),
@@ -173,7 +173,7 @@ fn changes_by_a_fault(rig: &mut Rig, worst_nm: &mut f64) -> u32 {
     done
 }
 
-/// So many changes of source of a spindle that warms up or cools down, by up to 44 nm/s.
+/// This many changes of source of a spindle that warms up or cools down, by up to 44 nm/s.
 fn changes(count: u32, seed: u64) -> f64 {
     let mut rig = Rig::engaged(seed);
     let (mut done, mut worst_nm) = (0, 0.0);

@@ -1,4 +1,4 @@
-//! Every input, every way to fail, every state: after how long it is told, as what, which quality follows, and how
+//! Every input, every way to fail, every state: after how long it is reported, as what, which quality follows, and how
 //! far the offset was from that of a bridge without the fault meanwhile. The table is kept in `docs/fault-matrix.md`.
 
 use std::{env, fmt::Write as _, fs, path::Path};

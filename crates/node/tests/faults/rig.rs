@@ -23,7 +23,7 @@ use trueup_node::node::{Line, Node};
 
 use crate::spindle_model::{KnownSpindle, law};
 
-/// A code is so many nanometres of growth; the sensor reads so many codes without any.
+/// A code is this many nanometres of growth; the sensor reads this many codes without any.
 const NM_PER_CODE: f64 = 122.0;
 const ZERO_CODE: f64 = 600.0;
 /// The growth of the spindle and its time constant: after 5 minutes it cools by 12 nm/s, as fast as the paper's spindle warms
@@ -181,7 +181,7 @@ pub struct Rig {
     /// What fails, how, and since when.
     pub fault: Option<(Part, Kind, u32)>,
     pub engage: bool,
-    /// The sensor's cable is off beside it: the bridge runs on its fall-back.
+    /// The sensor's cable is off next to it: the bridge runs on its fall-back.
     pub blind: bool,
     pub heat: f64,
     pub runs: bool,

@@ -1,4 +1,4 @@
-//! An axis on its way: where it is, what its screw does there, and what the bridge has heard of it.
+//! An axis on its way: where it is, what its screw does there, and what the bridge has learnt of it.
 //!
 //! The error is computed here from the same knots in `f64`, not by the bridge's table.
 
@@ -37,7 +37,7 @@ pub struct Axis {
     at: i32,
     velocity: i32,
     counter: u8,
-    /// What the bridge has heard last.
+    /// What the bridge has received last.
     pub heard: Option<i32>,
     /// How long ago, in milliseconds.
     pub heard_ms: u32,

@@ -43,7 +43,7 @@ fn hostile<'s>(random: &mut Random, seeds: &[Vec<u8>], slot: &'s mut Slot) -> &'
     slot[..seed.len()].copy_from_slice(seed);
     let blob = &mut slot[..seed.len()];
     for _ in 0..=random.below(4) {
-        // The head of 8 bytes stays: what is wrong there is told before anything is read.
+        // The head of 8 bytes stays: what is wrong there is reported before anything is read.
         let at = 8 + random.below(blob.len() as u32 - 12) as usize;
         let word = 8 + (at - 8) / 4 * 4;
         match random.below(4) {

@@ -23,7 +23,7 @@ pub const MAX_NM: i32 = 15_000;
 pub const SLEW_NM_PER_MS: i32 = 200;
 /// What a wire bit may add to a step.
 pub const WIRE_NM: i32 = 10;
-/// A code is so many nanometres of growth.
+/// A code is this many nanometres of growth.
 pub const NM_PER_CODE: f64 = 122.0;
 pub const ZERO_CODE: f64 = 600.0;
 /// τ of the spindle's heat, and its growth when warm through.
@@ -94,7 +94,7 @@ impl GrowingSpindle {
     }
 }
 
-/// The CNC, by the README: what it applies follows what it hears, at the slew limit, and `Engage` is
+/// The CNC, by the README: what it applies follows what it receives, at the slew limit, and `Engage` is
 /// raised only where it applies nothing.
 pub struct Cnc {
     pub ears: OffsetReceiver,

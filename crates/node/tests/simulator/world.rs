@@ -112,7 +112,7 @@ pub struct World {
     block_ms: u32,
     temperatures_ms: u32,
     control_ms: u32,
-    /// Milliseconds without a block that the node was not told of yet: its clock is so much behind.
+    /// Milliseconds without a block that the node was not told of yet: its clock is this much behind.
     untold_ms: u32,
     cnc: Cnc,
     fault: Fault,
@@ -172,7 +172,7 @@ impl World {
         }
     }
 
-    /// One in so many.
+    /// One in this many.
     fn chance(&mut self, one_in: u32) -> bool {
         self.random.below(one_in) == 0
     }
@@ -299,7 +299,7 @@ impl World {
         self.note_zero(before);
     }
 
-    /// Follows the engage sequence, whoever sends it: a stranger on the same line cannot be told from the
+    /// Follows the engage sequence, whoever sends it: a stranger on the same line cannot be distinguished from the
     /// CNC by one frame.
     fn note_control(&mut self, heard: &Result<Option<Command>, Refused>, engage: bool) {
         match heard {

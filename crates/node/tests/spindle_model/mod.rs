@@ -11,7 +11,7 @@ use trueup_core::{
 
 /// What is known of it: the sensor first, then a thermometer, then its running time.
 pub struct KnownSpindle {
-    /// The sensor reads so many codes without growth, and one more for so many nanometres.
+    /// The sensor reads this many codes without growth, and one more for this many nanometres.
     pub zero_code: f64,
     pub nm_per_code: f64,
     /// The thermometer's channel, its law in nanometres per kelvin above 20 °C, and its lag.
@@ -55,12 +55,12 @@ impl KnownSpindle {
     }
 }
 
-/// Returns a lag of so many seconds, stepped every 100 ms.
+/// Returns a lag of this many seconds, stepped every 100 ms.
 pub fn per_step(tau_s: f64) -> SmoothingFactor {
     SmoothingFactor((-(-0.1 / tau_s).exp_m1() * 2_f64.powi(32)).round() as u32)
 }
 
-/// K₀(T) that rises by so much a kelvin from 20 °C.
+/// K₀(T) that rises by this much a kelvin from 20 °C.
 pub fn law(nm_per_kelvin: f64) -> Law<'static> {
     // 1/16 of 1/256 nm by 1.024 K.
     let slope = nm_per_kelvin * 256.0 * 1.024 * 16.0;

@@ -70,7 +70,7 @@ pub fn central_differences<M: Model + ?Sized>(
 pub struct Options {
     /// Steps that are allowed, for each parameter.
     pub patience: usize,
-    /// The first step is at most so many times the start, tried in turn. The best end is taken: a
+    /// The first step is at most this many times the start, tried in turn. The best end is taken: a
     /// long first step finds more from far away, a short one does not leave the start's valley.
     pub first_steps: Vec<f64>,
     /// The best points of a grid that are followed to their end.

@@ -139,7 +139,7 @@ fn back(lower: &DMatrix<f64>, b: &mut [f64]) {
     }
 }
 
-/// What is left of a column's squares beside others, below which it is a combination of them.
+/// What is left of a column's squares next to others, below which it is a combination of them.
 const DEPENDENT: f64 = 1e-11;
 
 /// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured

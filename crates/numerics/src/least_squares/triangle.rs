@@ -46,7 +46,7 @@ impl fmt::Display for Dependent {
 impl Error for Dependent {}
 
 impl Triangle {
-    /// No row yet, of so many columns.
+    /// No row yet, of this many columns.
     #[must_use]
     pub fn new(columns: usize) -> Self {
         Self {

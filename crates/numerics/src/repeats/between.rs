@@ -9,13 +9,13 @@ use super::{
     table::{Law, Table},
 };
 
-/// A gain is judged on at least so many blocks (`docs/reference.md`, Diagnosis): here inner places.
+/// A gain is judged on at least this many blocks (`docs/reference.md`, Diagnosis): here inner places.
 const FEWEST_INNER: usize = 6;
-/// The line must explain so much of the squares of what it foresees: the same R² that a law must have of
+/// The line must explain this much of the squares of what it foresees: the same R² that a law must have of
 /// what goes with its inputs.
 const LEAST_R_SQUARED: f64 = 0.9;
 
-/// Misses of neighbours share places. Of so many the sum of squares scatters like that of this share of
+/// Misses of neighbours share places. Of this many the sum of squares scatters like that of this share of
 /// independent ones (Satterthwaite; even steps: covariances of 1.5, −1 and 0.25 give 1.5²/(1.5² + 2·1² +
 /// 2·0.25²)).
 const INDEPENDENT: f64 = 18.0 / 35.0;

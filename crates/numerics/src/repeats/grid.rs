@@ -15,7 +15,7 @@
 /// ```
 #[must_use]
 pub fn largest_variance(at: &[f64], start: f64, step: f64, points: usize) -> f64 {
-    // A hundredth of a reading beside one says nothing.
+    // A hundredth of a reading next to one says nothing.
     const HARDLY: f64 = 1e-4;
     let mut diagonal = vec![0.0; points];
     let mut beside = vec![0.0; points];

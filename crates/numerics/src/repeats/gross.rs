@@ -10,7 +10,7 @@
 //! spoils two of three pairs at its place and none elsewhere, so that two bad ones in ten places of three
 //! leave 26 of 30 pairs sound.
 //!
-//! A reading is gross if it is further from its place's median than the limit for so many rows
+//! A reading is gross if it is further from its place's median than the limit for this many rows
 //! ([`cutoff`]), and as far from what its neighbours in the same cycle, before it and after it, are from
 //! theirs: a cycle, or a part of one, that was warmer than the others is no row of gross errors.
 
@@ -68,7 +68,7 @@ fn by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
 
 /// Returns the scatter of one reading among its repeats; none where nothing scatters or nothing repeats.
 fn scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f64> {
-    /// Pairs of the first so many repeats of a place are enough of them.
+    /// Pairs of the first this many repeats of a place are enough of them.
     const MOST: usize = 30;
     let mut pairs = Vec::new();
     for group in groups {

@@ -1,6 +1,6 @@
 //! How many cycles would show that places differ.
 //!
-//! With p places, n cycles and an error of the size b (root mean square) beside a scatter s, F has the
+//! With p places, n cycles and an error of the size b (root mean square) next to a scatter s, F has the
 //! noncentral distribution with (p − 1, p·(n − 1)) degrees of freedom and λ = n·p·(b/s)².
 
 use super::decide::SIGNIFICANCE;
@@ -24,7 +24,7 @@ pub fn cycles_for(size: f64, scatter: f64, places: usize) -> Option<usize> {
     (2..=MOST_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
 }
 
-/// Returns the chance that so many cycles show the error, 0…1.
+/// Returns the chance that this many cycles show the error, 0…1.
 pub(super) fn power(size: f64, scatter: f64, places: usize, cycles: usize) -> f64 {
     let more = places.saturating_sub(1) as f64;
     let freedom = (places * cycles.saturating_sub(1)) as f64;

@@ -61,7 +61,7 @@ impl Table {
     }
 }
 
-/// Returns the step by least squares beside a value for each place: the places' own differences, each with the
+/// Returns the step by least squares next to a value for each place: the places' own differences, each with the
 /// weight n₀·n₁/(n₀ + n₁). None where no place has both sides.
 fn step(sum: &[Vec<f64>; 2], count: &[Vec<f64>; 2]) -> Option<f64> {
     let (mut total, mut weights) = (0.0, 0.0);

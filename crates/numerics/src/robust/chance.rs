@@ -21,7 +21,7 @@ use super::residual::LARGEST_SHARE;
 
 /// The farthest readings that tell the tail: as many as make its scale known to 1/√20, a fifth.
 const TAIL: usize = 20;
-/// Of few readings one in so many: what is nearer is no tail.
+/// Of few readings one in this many: what is nearer is no tail.
 const IN_TAIL: usize = 4;
 
 /// Returns the chance that noise like `rest` has readings as far away as `far`: magnitudes, `step` apart at least

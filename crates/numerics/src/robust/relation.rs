@@ -7,7 +7,7 @@ use crate::{least_squares::Triangle, random::Generator};
 const SAMPLES: usize = 500;
 /// The rows that a sample is judged on, at most.
 const JUDGES: usize = 2000;
-/// Nothing is found in fewer rows than so many for each column, and two columns' worth at least.
+/// Nothing is found in fewer rows than this many for each column, and two columns' worth at least.
 pub const ROWS_A_COLUMN: usize = 3;
 /// Tukey's constant: 95 % of the efficiency of least squares.
 const BIWEIGHT: f64 = 4.685;

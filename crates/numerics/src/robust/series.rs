@@ -88,7 +88,7 @@ fn leaves_its_curve(outlier: &Outlier, three: &[usize], time: &[f64], y: &[f64])
     away.is_nan() || away > GROSS * scale * squares.sqrt()
 }
 
-/// A row of a series beside its neighbours.
+/// A row of a series next to its neighbours.
 struct Local {
     /// From the line through the neighbours.
     distance: f64,

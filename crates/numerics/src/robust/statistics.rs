@@ -2,7 +2,7 @@
 
 use crate::t_quantile;
 
-/// A row within so many scales is never set aside.
+/// A row within this many scales is never set aside.
 pub const GROSS: f64 = 5.0;
 /// The median magnitude of a normal distribution is the standard deviation divided by this.
 pub(super) const NORMAL: f64 = 1.482_602_218_505_602;

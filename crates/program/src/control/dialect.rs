@@ -19,9 +19,9 @@ pub(super) trait Dialect {
     fn line(&mut self, to: &Ends, feed: f64);
     /// Turns the spindle, or stops it.
     fn spindle(&mut self, rpm: f64);
-    /// Stands for so many seconds; a reading is taken at the end.
+    /// Stands for this many seconds; a reading is taken at the end.
     fn dwell(&mut self, s: f64, is_reading: bool);
-    /// Begins what is done so many times.
+    /// Begins what is done this many times.
     fn repeat(&mut self, times: u32);
     /// Ends it.
     fn repeated(&mut self);

@@ -18,7 +18,7 @@ use crate::{
 const REPEATS: u32 = 3;
 /// From target to target along the diagonal, in mm: the length of the paper's slide.
 const STEP_MM: f64 = 240.0;
-/// So many steps on a short one, at least.
+/// This many steps on a short one, at least.
 const STEPS: f64 = 12.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {

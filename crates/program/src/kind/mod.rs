@@ -72,7 +72,7 @@ fn head_at_zero(machine: &Machine) -> Option<String> {
     (!axes.is_empty()).then(|| format!("Head axes {} must stand at 0.", axes.join(", ")))
 }
 
-/// Targets as far apart as asked for, else so many steps, but none longer than `longest_mm`.
+/// Targets as far apart as asked for, else this many steps, but none longer than `longest_mm`.
 fn even_targets_mm(
     travel: &Travel,
     options: &Options,

@@ -19,7 +19,7 @@ use crate::{
 
 /// Runs in each direction (ISO 230-2).
 const REPEATS: u32 = 5;
-/// So many steps on an axis, at least (ISO 230-2 has 5 a metre; a table wants more).
+/// This many steps on an axis, at least (ISO 230-2 has 5 a metre; a table wants more).
 const STEPS: f64 = 20.0;
 /// And at most so far from target to target, in mm (ISO 230-2, axes above 2 m).
 const LONGEST_STEP_MM: f64 = 250.0;

@@ -17,11 +17,11 @@ pub struct Stretch {
     pub load_n: f64,
 }
 
-/// How long a reading takes, in s, where there is so much time.
+/// How long a reading takes, in s, where there is this much time.
 const DWELL_S: f64 = 5.0;
 
 /// Returns the plan of `stretches`, read every `every_s` seconds (above 0); `inputs` are the columns to be filled in
-/// beside the growth, and `why` is what it is run for, a sentence.
+/// next to the growth, and `why` is what it is run for, a sentence.
 #[must_use]
 pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str) -> Plan {
     let dwell_s = DWELL_S.min(0.5 * every_s);

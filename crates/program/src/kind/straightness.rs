@@ -18,7 +18,7 @@ use crate::{
 
 /// There and back so often: the scatter of three shows what a curve is worth.
 const REPEATS: u32 = 3;
-/// So many steps on an axis, at least: three for each of the paper's first ten control points, less the
+/// This many steps on an axis, at least: three for each of the paper's first ten control points, less the
 /// two ends.
 const STEPS: f64 = 24.0;
 /// And at most so far from target to target, in mm: the length of the paper's slide.

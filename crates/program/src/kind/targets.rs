@@ -41,7 +41,7 @@ pub struct Targets {
 /// The most strokes in a row: FANUC repeats no more often.
 const MOST_STROKES: f64 = 9999.0;
 
-/// The shortest over-travel that is left beside the margin, in mm: it still takes up the play of a worn axis.
+/// The shortest over-travel that is left next to the margin, in mm: it still takes up the play of a worn axis.
 const MIN_OVER_MM: f64 = 0.1;
 
 /// Returns the plan; `inputs` are the columns to be filled in with the error, and `why` is what it is run for, a

@@ -23,7 +23,7 @@ use super::{
 const TERM_SIZE: usize = 24;
 /// The most binary places of a coefficient.
 const MAX_SHIFT: u8 = 62;
-/// The bytes of a term's head, beside its kind, which is the first.
+/// The bytes of a term's head, next to its kind, which is the first.
 const TARGET: usize = 1;
 const INPUT: usize = 2;
 const SHIFT: usize = 3;

@@ -232,7 +232,7 @@ fn judge(flash: &Flash, old: Option<&[u8]>, blobs: [&[u8]; 2], cuts: [usize; 2])
     }
 }
 
-/// So many stored before, and then wavering.
+/// This many stored before, and then wavering.
 fn filled(before: u32, words: usize, seed: u32) -> (Flash, Option<Vec<u8>>) {
     let mut flash = Flash::wavering(seed);
     for number in 1..=before {

@@ -204,7 +204,7 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
         }
         Hidden::ReferenceTemperature => {
             let shift_c = stream.sign() * stream.uniform(0.7, 3.0);
-            // Beside a hidden lag it is that of the temperature which the axis follows.
+            // Next to a hidden lag it is that of the temperature which the axis follows.
             let um = apart(&|c, mm| law.error_um(c - shift_c, mm), law.true_lag_s);
             let mut shape = fixed(cause, vec![("shift_c", shift_c)], um);
             let training = &bench.runs[..bench.runs.len() - 1];
@@ -220,7 +220,7 @@ fn thermal(cause: Hidden, bench: &AxisBench, stream: &mut Stream) -> Option<Shap
                 ..linear(cause, "", apart(&shifting, law.true_lag_s))
             }
         }
-        // Beside a hidden lag the slope is that over the temperature that the axis follows.
+        // Next to a hidden lag the slope is that over the temperature that the axis follows.
         _ => {
             let steeper = |c: f64, mm: f64| {
                 law.error_um(c, mm) + (c - law.reference_c) * (mm - law.origin_mm) / 1000.0

@@ -59,7 +59,7 @@ macro_rules! causes {
                 match self { $(Self::$variant => Expected::$expected,)+ }
             }
 
-            /// Returns the bases in which it can be told from all others.
+            /// Returns the bases in which it can be distinguished from all others.
             pub(super) fn bases(self) -> &'static [Base] {
                 match self { $(Self::$variant => &[$(Base::$base),+],)+ }
             }

@@ -58,7 +58,7 @@ pub(super) fn challenge(
         _ => stream.uniform(0.1, 0.7),
     };
     // What would be left of the effect if another cause stood in its place tells the two apart, by the
-    // likelihood of so many independent rows. Less than 6 is a tie by `docs/reference.md`.
+    // likelihood of this many independent rows. Less than 6 is a tie by `docs/reference.md`.
     for (effect, (rows, others)) in effects.iter_mut().zip(imitated) {
         let independent = rows * (1.0 - rho) / (1.0 + rho);
         for (cause, share) in others {

@@ -13,7 +13,7 @@
 //!
 //! # Conventions
 //! - The table of causes (`docs/reference.md`, Causes) says what each effect does to p, the believed
-//!   value, and names its parameters. In a pair both effects act on p and are added; a slope beside a
+//!   value, and names its parameters. In a pair both effects act on p and are added; a slope next to a
 //!   lag is the slope over the lagged temperature, so that the two together are one machine.
 //! - The ratio is RMS(effect)/RMS(noise) over the training rows, of a pair for each of the two. Noise
 //!   includes the rounding. On an axis, whose measurement has an arbitrary zero, the effect counts
@@ -23,7 +23,7 @@
 //! - Temperatures and the warm-up state settle as `docs/reference.md`, Machine file says.
 //! - A table of tanβ that bends over T makes `reference-temperature` identifiable; where tanβ is
 //!   straight, which is drawn as often, or does not bend where the axis was, `pitch-scale` explains the
-//!   same, and is in `rivals`. So is, beside a slow mode of the bearing, the path of a motor whose
+//!   same, and is in `rivals`. So is, next to a slow mode of the bearing, the path of a motor whose
 //!   temperature goes with it: a rival is what would leave so little that the likelihoods of the two
 //!   differ by less than 6.
 //! - [`Truth::expected`] of a pair is that of the one which is harder to compensate.
@@ -98,7 +98,7 @@ pub struct Effect {
     pub cause: Hidden,
     /// The column that it hangs on, where there is a choice.
     pub column: Option<String>,
-    /// The parameters by the names of the table of causes, in the units that the names say; beside
+    /// The parameters by the names of the table of causes, in the units that the names say; next to
     /// them what else was drawn (`reference_c`, `phase_rad`).
     pub parameters: Vec<(&'static str, f64)>,
     /// Parameters that are lists, likewise.

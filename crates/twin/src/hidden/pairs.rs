@@ -57,7 +57,7 @@ fn path(cause: Hidden) -> Option<Path> {
 }
 
 impl Hidden {
-    /// Returns whether a challenge with both, the one beside the other, is one machine: they share a base, one
+    /// Returns whether a challenge with both, the one next to the other, is one machine: they share a base, one
     /// path shows both, and their sum is what such a machine would do. Not so where
     ///
     /// - both are constants of one law (a lag and an amplitude of the same growth), whose joint effect

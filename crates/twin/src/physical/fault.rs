@@ -55,7 +55,7 @@ faults! {
     /// The nut is worn: it has a play, which may be larger at one end: 2 µm · size in the
     /// middle.
     Wear = "wear";
-    /// The thermometer of a scale hangs in the air beside it, in a room that swings by
+    /// The thermometer of a scale hangs in the air next to it, in a room that swings by
     /// 1 K · size.
     MisplacedThermometer = "misplaced-thermometer";
     /// The gauge that measures the machine drifts: ±1 µm/h · size.

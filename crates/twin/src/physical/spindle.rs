@@ -84,7 +84,7 @@ pub(super) fn draw(kind: Kind, stream: &mut Stream) -> (Scenario, String) {
 /// Returns the file of one who has recorded a start from cold: a housing of one node follows its bearings' heat
 /// with one time constant, and the heat of viscous bearings goes with the speed to the power 5/3.
 fn warmup(head: &str, spindle: &SpindleConfig, um_per_c: f64) -> String {
-    /// So many time constants until it counts as warm: what is missing then is below 10⁻⁵.
+    /// This many time constants until it counts as warm: what is missing then is below 10⁻⁵.
     const EXPONENT: f64 = 12.0;
     let w_per_k = spindle.housing_air_w_per_k + spindle.housing_coolant_w_per_k;
     let bearings_w = 2.0 * spindle.bearing_w(spindle.max_rpm, 0.0);

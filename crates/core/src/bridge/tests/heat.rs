@@ -96,7 +96,7 @@ fn over_a_power_cut_the_heat_goes_on_as_at_the_temperature_that_is_seen_again() 
         let mut with = Rig::new(lagging());
         with.bridge.resume_heat(&mut with.state, &memory, off_s * 10);
         assert!(!with.state.heat_is_unknown());
-        // A cut before any thermometer is heard: what was missed stays missed.
+        // A cut before any thermometer is received: what was missed stays missed.
         let memory = with.bridge.heat_memory(&with.state);
         let mut again = Rig::new(lagging());
         again.bridge.resume_heat(&mut again.state, &memory, 0);

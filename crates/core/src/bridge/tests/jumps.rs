@@ -32,7 +32,7 @@ impl Rig {
         self.bridge.hear(&mut self.state, Command::Position(heard));
     }
 
-    /// So many milliseconds with a `Control` in each and no position.
+    /// This many milliseconds with a `Control` in each and no position.
     fn wait(&mut self, ms: u32) {
         for _ in 0..ms {
             self.control(ENGAGED);

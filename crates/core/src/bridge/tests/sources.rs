@@ -1,4 +1,4 @@
-//! One source of the elongation takes over from another, and what the CNC is told meanwhile.
+//! One source of the elongation takes over from another, and what the CNC gets meanwhile.
 
 use super::*;
 use crate::calibration::{SpindleTemperature, SpindleWarmup};
@@ -217,7 +217,7 @@ fn a_thermometer_that_returns_as_the_sensor_is_lost_tells_nothing_of_before() {
         hold(&mut rig, 1_300, 1_050, Some(22));
         hold(&mut rig, 1_000 + lead_ms, 1_050, None);
         let grown = rig.z_nm();
-        // The spindle's housing is 5 K warmer than when it was last heard of.
+        // The spindle's housing is 5 K warmer than when it was last learnt of.
         hold(&mut rig, 600, 0, Some(27));
         assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, grown), "{lead_ms}");
     }

@@ -19,7 +19,7 @@ fn quantity(run: &RunFile) -> Quantity {
     Quantity::ALL.into_iter().find(is_measured).expect("one")
 }
 
-/// Returns what is told of the runs, and the columns that are left.
+/// Returns what is reported of the runs, and the columns that are left.
 fn searched(machine: &Machine, runs: &[RunFile]) -> (Vec<String>, Data) {
     let data = Data::new(machine, runs, quantity(&runs[0])).expect("comparable").trusted();
     (data.notes.clone(), data)

@@ -209,7 +209,7 @@ pub(super) fn ignored_against_cut_um(cut: &[&Cycle], ignored: &[&Cycle]) -> f64 
     largest
 }
 
-/// About so many points make a picture.
+/// About this many points make a picture.
 const POINTS: usize = 700;
 
 fn thin<'c>(cycles: &'c [&'c Cycle]) -> impl Iterator<Item = &'c Cycle> {

@@ -72,7 +72,7 @@ fn what_is_rare_and_right_is_not_refused() {
         findings(&run, Some(&machine)).iter().any(|it| it.grade == Grade::Impossible)
     };
     let rows = |row: &dyn Fn(usize) -> String| (0..300).map(row).collect::<String>();
-    // A furnace beside the machine.
+    // A furnace next to the machine.
     let furnace = rows(&|it| format!("{},{},{}\n", 20 * it, 21.0 + it as f64 * 0.01, 640 + it % 3));
     assert!(!is_refused(&format!("time_s,temp_nose_c,temp_furnace_c\n{furnace}")));
     // A spindle that was hot already, and a record of 300 days.
@@ -91,7 +91,7 @@ fn what_is_rare_and_right_is_not_refused() {
     assert_eq!(findings(&run, None), []);
 }
 
-/// A bearing that is at 52 °C from the first row on, beside a bed at 22 °C: in °F it would be at 11 °C.
+/// A bearing that is at 52 °C from the first row on, next to a bed at 22 °C: in °F it would be at 11 °C.
 #[test]
 fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
     let told = |bed_c: f64| {

@@ -66,7 +66,7 @@ pub(super) fn bends(values: &[f64]) -> Vec<f64> {
     shares(values, 1..=HINGES, HINGES + 1)
 }
 
-/// Returns `count` places of a curve: all values of a column that has so many, else the ends and equal shares of the
+/// Returns `count` places of a curve: all values of a column that has this many, else the ends and equal shares of the
 /// sorted rows; none if there are fewer.
 pub(super) fn knots(values: &[f64], count: usize) -> Option<Vec<f64>> {
     let mut different: Vec<f64> =

@@ -5,7 +5,7 @@ use trueup_output::escape::one_line;
 
 use super::section::Value;
 
-/// Above so many elements an array is laid out over several lines.
+/// Above this many elements an array is laid out over several lines.
 const ELEMENTS_ON_A_LINE: usize = 8;
 
 /// `value` as it is written.
@@ -57,7 +57,7 @@ fn one_on_each_line(array: &mut Array, every: usize) {
     array.set_trailing("\n");
 }
 
-/// Sets `key`, the comment beside its old value kept; `note` stands beside a new one.
+/// Sets `key`, the comment next to its old value kept; `note` stands next to a new one.
 pub(super) fn set(table: &mut dyn TableLike, key: &str, new: &Value, note: Option<&str>) {
     let mut new = value(new);
     match table.get_mut(key) {

@@ -1,4 +1,4 @@
-//! A section that is to be written: its name, its keys in their order, and what is said beside them.
+//! A section that is to be written: its name, its keys in their order, and what is said next to them.
 
 /// A section to be written.
 #[derive(Clone, Debug, PartialEq)]
@@ -18,7 +18,7 @@ pub struct NewSection {
 pub(super) struct Entry {
     pub(super) key: String,
     pub(super) value: Value,
-    /// A comment beside it.
+    /// A comment next to it.
     pub(super) note: Option<String>,
 }
 
@@ -97,7 +97,7 @@ impl NewSection {
         self
     }
 
-    /// With a comment beside `key`, which it has. Beside a key of the user's it is not written.
+    /// With a comment next to `key`, which it has. Next to a key of the user's it is not written.
     #[must_use]
     pub fn note(mut self, key: &str, note: impl Into<String>) -> Self {
         let note = on_one_line(note.into());
@@ -163,7 +163,7 @@ fn on_one_line(comment: String) -> String {
     comment.replace(['\n', '\r'], " ")
 }
 
-/// `value` to so many digits after the point; 0 is never negative.
+/// `value` to this many digits after the point; 0 is never negative.
 #[must_use]
 pub fn rounded(value: f64, decimals: i32) -> f64 {
     let scale = 10_f64.powi(decimals);

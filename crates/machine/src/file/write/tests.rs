@@ -154,7 +154,7 @@ fn gain() -> NewSection {
 fn a_table_is_appended_after_the_last_of_its_array_or_at_the_end() {
     let edit = Edit { appended: vec![gain(), gain()], ..Edit::default() };
     let written = "\n[[term]]\ncause = \"sensor-gain\"\nquantity = \"elongation\"\ngain = 1.25\n";
-    // Sections that are not beside their kin, a comment, no line end at the end.
+    // Sections that are not next to their kin, a comment, no line end at the end.
     let source = format!(
         "{PLAIN}[axis.x.backlash]\nwidth_um = 4\n[limits]\nhold_ms = 9\n[axis.y.backlash]\nwidth_um = 5 # mm"
     );

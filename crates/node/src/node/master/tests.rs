@@ -7,7 +7,7 @@ const TIMEOUT_MS: u32 = 500;
 const ZERO: Control = Control { zero: true, ..Control::REFERENCED };
 const CONFIRM: Control = Control { confirm: true, ..Control::REFERENCED };
 
-/// Returns a master that has sent so many frames without a bit that means something.
+/// Returns a master that has sent this many frames without a bit that means something.
 fn steady() -> Master {
     let mut master = Master::default();
     for _ in 0..STEADY {
@@ -17,7 +17,7 @@ fn steady() -> Master {
     master
 }
 
-/// Returns what comes of each of so many frames: `Zero` believed, `Zero` asked for, `Confirm`.
+/// Returns what comes of each of this many frames: `Zero` believed, `Zero` asked for, `Confirm`.
 fn says(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
     let mut one = || master.take(Line::Can, control).expect("it is alone");
     let three = |heard: Heard| (heard.control.zero, heard.zero, heard.confirm);
@@ -107,7 +107,7 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
     assert!(!master.is_second());
 }
 
-/// Returns a CNC that sends every so many milliseconds from `phase_ms` on, and a stranger with counters of its own that
+/// Returns a CNC that sends every this many milliseconds from `phase_ms` on, and a stranger with counters of its own that
 /// sends bursts. Returns in how many of `ms` milliseconds after the stranger's last frame the CNC is not believed, and
 /// how many of the stranger's frames were.
 fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (u32, usize) {
