@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use trueup_machine::effect::Nonlinear;
+use trueup_machine::effect::{FEWEST_GROUPS_IN_A_PERIOD, Nonlinear};
 
 use super::{
     cache::{Cache, Columns, Key},
@@ -379,7 +379,10 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
             (range[1] - range[0]) / groups.len().max(2) as f64,
             LONGEST_PERIOD * (range[1] - range[0]),
         ],
-        period_s: [longest_s / groups.len().max(2) as f64, LONGEST_TIME_PERIOD * longest_s],
+        period_s: [
+            FEWEST_GROUPS_IN_A_PERIOD * longest_s / groups.len().max(2) as f64,
+            LONGEST_TIME_PERIOD * longest_s,
+        ],
         prediction_um,
     }
 }

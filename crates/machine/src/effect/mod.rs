@@ -81,6 +81,7 @@ pub use page::{
     Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
     Page, Parameter, SpeedHeat, Stage, Tilt, Times, Value,
 };
+pub use periodic_in_time::FEWEST_GROUPS as FEWEST_GROUPS_IN_A_PERIOD;
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
 pub use survey::{Reading, Settings, Survey, spread};

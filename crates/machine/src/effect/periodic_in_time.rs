@@ -16,6 +16,9 @@ use super::{
 };
 use crate::{file::read::Section, location::BadInput};
 
+/// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
+pub const FEWEST_GROUPS: f64 = 10.0;
+
 /// One wave over the time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PeriodicInTime {
@@ -137,10 +140,13 @@ impl Definition for PeriodicInTime {
         /// What turns less often is a slow law of something else.
         const LEAST_TURNS: f64 = 3.0;
         const LEAST_GROUPS: usize = 40;
-        if survey.time_s().is_none() || survey.groups() < LEAST_GROUPS || survey.files() > 1 {
+        let Some([first_s, last_s]) = survey.time_s() else { return };
+        if survey.groups() < LEAST_GROUPS || survey.files() > 1 {
             return;
         }
+        let shortest_s = FEWEST_GROUPS * (last_s - first_s) / survey.groups() as f64;
         if let Some(peak) = survey.peak(Reading::Time, LEAST_TURNS, FREQUENCIES)
+            && peak.starts[0][0] >= shortest_s
             && !goes_with_an_input(survey, peak.starts[0][0])
         {
             with(Self::neutral(survey.start_s()), peak);
