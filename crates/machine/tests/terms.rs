@@ -387,6 +387,7 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (AXIS, "dx", "step", "at_s = 4.0\nsize_um = 3.0"),
         (AXIS, "dx", "drift", "um_per_h = 3.0"),
         (AXIS, "dx", "drift", "um_per_run = -0.5"),
+        (AXIS, "dx", "periodic-in-time", "period_s = 900.0\namplitude_um = 2.0\nphase_deg = 30.0\nstart_s = 60.0"),
         (AXIS, "dx", "outliers", "fraction = 0.01"),
         (AXIS, "dx", "reference-instrument", wave),
     ]

@@ -191,7 +191,7 @@ const BACKLASH: &[Key] = &[
     key("width_um", Number, "µm", "error after a move in the negative direction")
         .required()
         .as_in("4.0"),
-    key("ramp_mm", NotNegative, "mm", "on the board: a ramp over so much travel instead of a step")
+    key("ramp_mm", NotNegative, "mm", "on the board: a ramp over this travel instead of a step")
         .or("0.0"),
     key("hysteresis_um", NotNegative, "µm", "on the board: how far a reversal must go to count")
         .or("0.0"),
@@ -213,7 +213,7 @@ const AXIS: &[Key] = &[
     key("rapid_mm_per_min", Positive, "mm/min", "the rapid traverse: `trueup check` holds the slew limit against 1 % of it, and the board does not believe a position that the axis cannot have reached by it").as_in("15000.0"),
     section("thermal", THERMAL, "how the axis grows with a temperature"),
     section("pitch", PITCH, "position errors at points of equal distance, linear between them; of the first of two drives where there is `dual`"),
-    section("backlash", BACKLASH, "what a reversal leaves behind; not beside `reverse_um`"),
+    section("backlash", BACKLASH, "what a reversal leaves behind; not together with `reverse_um`"),
     section("dual", DUAL, "a gantry driven at both ends: the second drive"),
 ];
 

@@ -28,7 +28,7 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known(
         "gauge_time_s",
         "s",
-        "the clock of the gauge's own logger, beside `time_s`; with it `diagnose` takes the gauge to be early \
+        "the clock of the gauge's own logger, next to `time_s`; with it `diagnose` takes the gauge to be early \
          as well as late",
     ),
     known("run", "", "number of the repeat"),

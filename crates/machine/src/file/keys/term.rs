@@ -90,9 +90,9 @@ pub const TERM_KEYS: &[Key] = &[
     key("order", Whole(2, 4), "", "degree of a curve plus one").as_in("2"),
     key("origin_mm", Number, "mm", "where it is 0").as_in("0.0"),
     key("per_um", Number, "1/µm", "c of p + c·p²").as_in("0.001"),
+    key("period_mm", Positive, "mm", "the length of a wave").as_in("10.0"),
     key("period_s", Positive, "s", "the period of what comes and goes with the clock")
         .as_in("900.0"),
-    key("period_mm", Positive, "mm", "the length of a wave").as_in("10.0"),
     key("phase_deg", Form::NumberOrNumbers, "°", "of a wave at 0 mm, or at start_s").as_in("0.0"),
     key("reference", Number, "", "the value of the column at which it is 0").as_in("20.0"),
     key("reference_c", Number, "°C", "where it is 0").as_in("20.0"),
