@@ -104,3 +104,27 @@ fn what_comes_and_goes_with_the_clock_is_named_and_not_called_explained() {
     assert!(diagnosis.report.findings.iter().all(|it| it.cause != "periodic-in-time"));
     assert_eq!(finding(&diagnosis, "extra-heat-path").column.as_deref(), Some("temp_bed_c"));
 }
+
+/// What wanders along a pass is structure, with a clock or without: noise of 3 µm that remembers fifteen rows, and
+/// 0.4 µm from reading to reading.
+#[test]
+fn what_wanders_along_a_pass_is_not_called_clean() {
+    let mut noise = Generator::new(23);
+    let (mut slow_um, mut run) = (0.0, [String::new(), String::from("time_s,")]);
+    run.iter_mut().for_each(|run| *run += "x_mm,measured_dx_um\n");
+    let kept = (-1.0_f64 / 15.0).exp();
+    for row in 0..500 {
+        slow_um = kept * slow_um + 3.0 * (1.0 - kept * kept).sqrt() * noise.normal();
+        let cells = format!("{:.3},{:.3}\n", 0.4 * f64::from(row), slow_um + 0.4 * noise.normal());
+        run[0] += &cells;
+        run[1] += &format!("{},{cells}", 2 * row);
+    }
+    for run in run {
+        let diagnosis = diagnosed(&run);
+        let wandering = diagnosis.report.wandering.expect("it wanders");
+        println!("{wandering:?}");
+        assert_eq!(diagnosis.report.verdict, Verdict::Unexplained);
+        assert!(wandering.memory_rows.is_some_and(|rows| (5.0..40.0).contains(&rows)));
+        assert!(diagnosis.terms.is_empty(), "{:?}", diagnosis.terms);
+    }
+}

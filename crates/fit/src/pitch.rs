@@ -179,7 +179,9 @@ pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<Pit
     };
     let fitted = sums.fit(&readings.targets_mm, &grid, law);
     let residual = |it: &Reading| it.um - fitted.at(readings.targets_mm[it.target], it.way);
-    report.in_sample = Spread::of(&readings.list.iter().map(residual).collect::<Vec<_>>());
+    // A table of one pass goes through each of its readings: that nothing is left says nothing.
+    report.in_sample = Spread::of(&readings.list.iter().map(residual).collect::<Vec<_>>())
+        .filter(|_| !is_one_pass);
     let judged = judged.iter().find(|judged| judged.law == law);
     report.left_out = judged.and_then(|judged| Spread::of(&judged.residuals_um));
     report.warnings.extend(between_points(&readings, law));

@@ -289,9 +289,11 @@ pub(crate) fn conclude(
         noise_um,
         noise_memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
         detectable_um: power.found_um,
-        wandering: wandering
-            .as_ref()
-            .map(|it| report::Wandering { rms_um: it.rms_um, memory_s: it.memory_s }),
+        wandering: wandering.as_ref().map(|it| report::Wandering {
+            rms_um: it.rms_um,
+            memory_s: it.memory.seconds(),
+            memory_rows: it.memory.rows(),
+        }),
         before: Before {
             rms_um: rms(&before_rows),
             max_um: largest(&before_rows),

@@ -67,8 +67,12 @@ pub struct Report {
 pub struct Wandering {
     /// Root mean square of its slow part, in µm.
     pub rms_um: f64,
-    /// How long it remembers: its correlation time, in s.
-    pub memory_s: f64,
+    /// Its correlation time, in s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory_s: Option<f64>,
+    /// The same in rows, of one pass along an axis: the position says there what the clock says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub memory_rows: Option<f64>,
 }
 
 /// A cause whose term is not in the extended machine file.

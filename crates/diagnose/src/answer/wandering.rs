@@ -13,25 +13,58 @@ use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
 pub(crate) struct Wandering {
     /// RMS of its slow part, in µm.
     pub rms_um: f64,
-    /// Its correlation time, in s.
-    pub memory_s: f64,
+    /// Its correlation time.
+    pub memory: Memory,
     /// What was not recorded and may be behind it.
     to_record: Vec<&'static str>,
 }
 
+/// How long what wanders remembers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Memory {
+    /// In s.
+    Seconds(f64),
+    /// In rows: of a pass, where the position says what the clock says.
+    Rows(f64),
+}
+
+impl Memory {
+    /// Returns it in s, where there is a clock.
+    pub(super) fn seconds(self) -> Option<f64> {
+        match self {
+            Self::Seconds(seconds) => Some(seconds),
+            Self::Rows(_) => None,
+        }
+    }
+
+    /// Returns it in rows, where there is no clock.
+    pub(super) fn rows(self) -> Option<f64> {
+        match self {
+            Self::Seconds(_) => None,
+            Self::Rows(rows) => Some(rows),
+        }
+    }
+}
+
 impl Wandering {
-    /// Of what `found` leaves, where there is time and nothing of it goes with what was recorded.
+    /// Of what `found` leaves, where there is time, or rows follow each other along one pass, and nothing of it goes with
+    /// what was recorded.
     pub(super) fn of(problem: &Problem, found: &Found) -> Option<Self> {
-        if problem.data.time_s.is_none() || !found.lack_of_fit.is_empty() {
+        let has_clock = problem.data.time_s.is_some();
+        if !(has_clock || problem.data.is_one_pass) || !found.lack_of_fit.is_empty() {
             return None;
         }
         if !wanders(problem, found) {
             return None;
         }
         let data = &problem.data;
+        let rows = found.noise.memory * problem.groups.size as f64;
         Some(Self {
             rms_um: (1.0 - found.noise.white).sqrt() * found.fitted.rms(),
-            memory_s: found.noise.memory * problem.groups.size as f64 * step_s(problem),
+            memory: match has_clock {
+                true => Memory::Seconds(rows * step_s(problem)),
+                false => Memory::Rows(rows),
+            },
             to_record: not_recorded(data),
         })
     }
@@ -71,9 +104,10 @@ impl fmt::Display for Wandering {
             "what is left wanders slowly: {} RMS with a memory of ",
             micrometres(self.rms_um)
         )?;
-        match self.memory_s {
-            seconds if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
-            seconds => write!(f, "{:.0} minutes", seconds / 60.0)?,
+        match self.memory {
+            Memory::Seconds(seconds) if seconds < 120.0 => write!(f, "{seconds:.0} s")?,
+            Memory::Seconds(seconds) => write!(f, "{:.0} minutes", seconds / 60.0)?,
+            Memory::Rows(rows) => write!(f, "{rows:.0} rows")?,
         }
         f.write_str("; it goes with nothing that was recorded")?;
         if !self.to_record.is_empty() {

@@ -8,7 +8,7 @@
 //! Repeats have their number in the column `run`. Without it the j-th arrival at a target in one
 //! direction is of run j; where no position comes again, the j-th sweep in a direction is.
 
-use std::collections::HashMap;
+use std::{borrow::Cow, collections::HashMap};
 
 use trueup_machine::{BadInput, applied::Unaided, file::LinearAxis, model::is_reverse};
 use trueup_numerics::repeats::{self, gross, places};
@@ -241,15 +241,20 @@ fn raw_rows(
     let axis = wanted.axis.name();
     let measured = column_in(file, &format!("measured_d{axis}"), "um")?;
     let positions = column_in(file, axis, "mm")?;
-    let directions = file.require(&names.direction).map_err(|mut bad| {
-        bad.rule += "; it says from which side each position was approached, 1 or -1";
-        bad
-    })?;
+    let directions = match (file.column(&names.direction), way_of_one_pass(positions)) {
+        (Some(stated), _) => Cow::Borrowed(stated),
+        // The order says it.
+        (None, Some(way)) => Cow::Owned(vec![way; positions.len()]),
+        (None, None) => Cow::Borrowed(file.require(&names.direction).map_err(|mut bad| {
+            bad.rule += "; it says from which side each position was approached, 1 or -1";
+            bad
+        })?),
+    };
     let numbers = file.column("run");
     let feeds = if wanted.by_feed { file.column(FEED) } else { None };
     let (mut rows, mut rows_incomplete) = (Vec::new(), 0);
     for (row, ((&um, &position_mm), &direction)) in
-        measured.iter().zip(positions).zip(directions).enumerate()
+        measured.iter().zip(positions).zip(&*directions).enumerate()
     {
         let run = numbers.map_or(f64::NAN, |numbers| numbers[row]);
         if wanted.runs.is_some_and(|runs| !run.is_nan() && !runs.contains(&run)) {
@@ -276,6 +281,15 @@ fn raw_rows(
         rows.push(Raw { row, position_mm, way, run, feed, um: um - known });
     }
     Ok((rows, rows_incomplete))
+}
+
+/// Returns the direction of positions that only rise (1) or only fall (−1); `None` for all others.
+fn way_of_one_pass(positions_mm: &[f64]) -> Option<f64> {
+    let there: Vec<f64> = positions_mm.iter().copied().filter(|mm| !mm.is_nan()).collect();
+    let mut steps = there.windows(2).map(|pair| (pair[1] - pair[0]).signum());
+    let first = steps.next()?;
+    (there.windows(2).all(|pair| pair[0] != pair[1]) && steps.all(|step| step == first))
+        .then_some(first)
 }
 
 /// Returns the smallest step from row to row within a sweep; `None` where no sweep has two positions.

@@ -201,7 +201,24 @@ fn one_pass_is_taken_over_with_its_repeatability_unknown() {
         assert!((value - shape(*x)).abs() < 1e-3, "{value} at {x} mm");
     }
     assert!(fit.report.warnings[0].contains("repeatability unknown"), "{:?}", fit.report.warnings);
-    assert!(fit.report.left_out.is_none() && !fit.report.edit.is_empty());
+    assert!(fit.report.left_out.is_none() && fit.report.in_sample.is_none());
+    assert!(!fit.report.edit.is_empty());
+    // The order of one pass says its direction; of positions that come back it must be stated.
+    let no_way = |rows: &str| run_of(&format!("x_mm,measured_dx_um\n{rows}"));
+    for (rows, way) in [("0,3\n10,1\n20,-2\n", "positive"), ("20,3\n10,1\n0,-2\n", "negative")] {
+        let fit = fitted(&no_way(rows), &Options::default());
+        assert!(fit.pitch.is_some(), "{:?}", fit.report.verdict);
+        let only = format!("only the {way} direction was measured");
+        assert!(
+            fit.report.warnings.iter().any(|it| it.contains(&only)),
+            "{:?}",
+            fit.report.warnings
+        );
+    }
+    let back = no_way("0,3\n10,1\n20,-2\n10,2\n0,3\n");
+    let refused = trueup_fit::pitch::fit(&back, LinearAxis::X, &Options::default())
+        .expect_err("dir_x is missing");
+    assert!(refused.rule.contains("from which side"), "{refused}");
     // Two places always lie on a line.
     let two = "x_mm,dir_x,measured_dx_um\n0,1,3\n100,1,-2\n";
     let fit = fitted(&run_of(two), &Options::default());

@@ -26,7 +26,7 @@ fn a_broken_rule_is_named_with_its_place() {
 #[test]
 fn a_missing_or_foreign_column_is_named() {
     for (text, rule) in [
-        ("x_mm,measured_dx_um\n0,1\n5,2\n", "column dir_x is missing"),
+        ("x_mm,measured_dx_um\n0,1\n5,2\n0,1\n", "column dir_x is missing"),
         ("dir_x,measured_dx_um\n1,1\n", "column x_mm is missing"),
         ("x_mm,dir_x\n0,1\n", "column measured_dx_um is missing"),
         ("x_um,dir_x,measured_dx_um\n0,1,1\n", "x_um is in another unit: it must be given in mm"),
