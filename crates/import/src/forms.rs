@@ -16,7 +16,7 @@ use crate::{
 };
 use trueup_machine::Location;
 
-pub(crate) use refused::refused;
+pub(crate) use refused::{refused, refused_without_table};
 
 /// Returns the name of the form and its table, where `text` has one of these forms.
 ///

@@ -97,7 +97,9 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
             None => {
                 let grid = grid::of_text(&text, path)?;
                 form.push(format!("{} between columns", grid.separator));
-                (layout::find(&grid, path)?, grid.is_by_comma)
+                let found = layout::find(&grid, path)
+                    .map_err(|error| forms::refused_without_table(bytes, path).unwrap_or(error))?;
+                (found, grid.is_by_comma)
             }
         }
     };
@@ -119,6 +121,9 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
     }
     // A table of which nothing is understood is no run, whatever its numbers are.
     if !converted.columns.iter().any(|column| is_known_column(&column.name)) {
+        if let Some(error) = forms::refused_without_table(bytes, path) {
+            return Err(error.into());
+        }
         let headers: Vec<&str> =
             layout.columns.iter().take(5).map(|it| it.header.as_str()).collect();
         let rule = format!("no column is one that a run file knows: {}", headers.join(", "));

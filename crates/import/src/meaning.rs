@@ -277,10 +277,8 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     if is_length && axis.is_some() && is_only_axis {
         return known(&format!("{}_mm", axis.unwrap_or('x')));
     }
-    // `Pos-Nr.` counts, whatever it counts.
-    let is_number =
-        |word: &String| ["nr", "no", "num", "nummer", "number"].contains(&word.as_str());
-    if dimension.is_none() && words.len() > 1 && words.iter().any(is_number) {
+    // `Pos-Nr.` counts positions, and `Lauf-Nr.` is the number of a run.
+    if dimension.is_none() && has(POSITION) && has(NUMBER) {
         return Meaning::Nothing;
     }
     if is_length && has(POSITION) {
@@ -293,7 +291,11 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     if dimension.is_none() && has(RUN) {
         return known("run");
     }
-    if dimension.is_none() && (has(NOTHING) || slugged.is_empty()) {
+    // `Punkt Nr.` counts rows, `Werkzeug Nr.` is a quantity.
+    let is_of_row =
+        |word: &String| [ROW, NUMBER, FILLING].iter().any(|list| words::has(list, word));
+    let is_row_number = has(NUMBER) && words.iter().all(is_of_row);
+    if dimension.is_none() && (has(NOTHING) || is_row_number || slugged.is_empty()) {
         return Meaning::Nothing;
     }
     other()
@@ -332,14 +334,17 @@ pub(crate) fn repeat(name: &str) -> Option<(Option<f64>, Option<u32>)> {
     (is_pass && (way.is_some() || run.is_some())).then_some((way, run))
 }
 
-/// Returns the words of a header: `Run 2 -` ends with a direction, `Run-2` and `Run 1-3` have a hyphen.
+/// Returns the words of a header: `Run 2 -` ends with a direction, `Run-2` has a hyphen and `Run - 2` a dash.
 fn words_of_pass(name: &str) -> Vec<String> {
     let name = spaced_arrows(&name.replace('\u{2212}', "-"));
+    let parts = name.split([' ', '_', '.', ',', '#']);
+    let written: Vec<&str> = parts.filter(|word| !word.is_empty()).collect();
     let mut all = Vec::new();
-    for word in name.split([' ', '_', '.', ',', '#']) {
+    for (at, word) in written.iter().enumerate() {
         let number = word.trim_end_matches(['+', '-']);
         let sign = &word[number.len()..];
-        if sign.len() == 1 && number.chars().all(|c| c.is_ascii_digit()) {
+        let is_last = at + 1 == written.len();
+        if is_last && sign.len() == 1 && number.chars().all(|c| c.is_ascii_digit()) {
             all.extend([number, sign].map(String::from));
         } else {
             all.extend(word.split('-').map(String::from));
@@ -406,6 +411,15 @@ mod tests {
             ("Datum", "Date"),
             ("Bemerkung", "Nothing"),
             ("Nr.", "Nothing"),
+            ("Pos-Nr.", "Nothing"),
+            ("Punkt Nr.", "Nothing"),
+            ("Messung Nr.", "Nothing"),
+            ("lfd. Nr.", "Nothing"),
+            ("Lauf-Nr.", "run"),
+            ("Run No", "run"),
+            ("Cycle number", "run"),
+            ("Werkzeug Nr.", "Other(\"werkzeug_nr\")"),
+            ("Tool No", "Other(\"tool_no\")"),
             ("Vorschub [mm/min]", "feed_mm_per_min"),
             ("Sensor [V]", "sensor_counts"),
             ("Sensor", "sensor_counts"),
@@ -443,7 +457,12 @@ mod tests {
         {
             assert_eq!(repeat(name), Some((Some(way), Some(2))), "{name}");
         }
-        assert_eq!(repeat("Run-2"), Some((None, Some(2))));
+        for name in ["Run-2", "Run - 2", "Lauf - 2", "Abw. - Lauf 2", "Lauf \u{2212} 2"] {
+            assert_eq!(repeat(name), Some((None, Some(2))), "{name}");
+        }
+        for name in ["Run + 2", "+2", "+ 2"] {
+            assert_eq!(repeat(name), Some((Some(1.0), Some(2))), "{name}");
+        }
         assert_eq!(repeat("Temperatur 1"), None);
         assert_eq!(repeat("X"), None);
         assert_eq!(repeat("X 1"), None);

@@ -37,8 +37,13 @@ pub(crate) const TEMPERATURE: &str = "temperatur temperature temp temperatura tm
 /// The displacement sensor.
 pub(crate) const SENSOR: &str =
     "sensor wegsensor abstandssensor wegaufnehmer capteur sonde probe eddy";
+/// A number of something.
+pub(crate) const NUMBER: &str = "nr no num number nummer";
+/// Words with which a number counts the rows.
+pub(crate) const ROW: &str =
+    "mess messung messpunkt satz datensatz block line record eintrag entry ligne linea riga fila";
 /// No quantity of a run.
-pub(crate) const NOTHING: &str = "nr no num number nummer lfd index idx bemerkung bemerkungen kommentar comment comments remark \
+pub(crate) const NOTHING: &str = "lfd index idx bemerkung bemerkungen kommentar comment comments remark \
     remarks note notes notiz pruefer operator remarque row zeile sample punkt point id";
 /// Words that add nothing.
 pub(crate) const FILLING: &str = "achse axis axe eje asse der die das of the de des in am an machine maschine wert value spindel \

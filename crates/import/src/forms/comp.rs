@@ -3,7 +3,7 @@
 //! Source: LinuxCNC 2.9, `docs/src/config/ini-config.adoc`, and its own HAL component as `host-tests` asks it. With
 //! `COMP_FILE_TYPE = 0` the two values are actual positions, the error is actual minus nominal; with 1 they are trims
 //! that are added to the command, the error is minus the trim. Positions are like the nominal one, trims are not: so
-//! the type is distinguished from the values.
+//! the values show the type.
 
 use std::path::Path;
 

@@ -21,7 +21,6 @@ pub(crate) fn refused(bytes: &[u8], path: &Path) -> Option<BadInput> {
     let is_xml = head.trim_start_matches('\u{feff}').trim_start().starts_with("<?xml");
     let is_profile = head.contains("<profile>") || head.contains("<preferences>");
     let stem = path.file_stem().map(|it| it.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let is_log = stem.starts_with("tchpr") || LOGS.iter().any(|it| head.contains(it));
     let (rule, help) = match ending.as_deref() {
         Some("b5r" | "b20") => (
             "is a record of a ball-bar, whose form is not published",
@@ -39,10 +38,7 @@ pub(crate) fn refused(bytes: &[u8], path: &Path) -> Option<BadInput> {
             "is a profile of Mach4, and how it keeps a screw map is not published",
             "type the screw map as csv: a row `position [mm];error [µm]`, below it a line for each point; the error is actual minus commanded",
         ),
-        _ if is_log => (
-            "is the log of a single probing cycle, and no table",
-            "let the control print a line for each reading (HEIDENHAIN: FN16, SINUMERIK: columns of the log): position and error, or target and actual position",
-        ),
+        _ if stem.starts_with("tchpr") => return Some(log_of_cycle(path)),
         _ if is_xml => (
             "is XML, and no form of it is read",
             "export the table as csv, tsv, txt, xlsx or ods: the first row names the columns, each row below is one reading",
@@ -50,4 +46,18 @@ pub(crate) fn refused(bytes: &[u8], path: &Path) -> Option<BadInput> {
         _ => return None,
     };
     Some(BadInput::new(Location::start_of(path), rule).with_help(help))
+}
+
+/// Returns why a file without a table is not read, where its head is that of a log of a probing cycle. A table below
+/// such a title is read, so this is asked only where none was found.
+pub(crate) fn refused_without_table(bytes: &[u8], path: &Path) -> Option<BadInput> {
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]).to_lowercase();
+    LOGS.iter().any(|it| head.contains(it)).then(|| log_of_cycle(path))
+}
+
+fn log_of_cycle(path: &Path) -> BadInput {
+    let rule = "is the log of a single probing cycle, and no table";
+    BadInput::new(Location::start_of(path), rule).with_help(
+        "let the control print a line for each reading (HEIDENHAIN: FN16, SINUMERIK: columns of the log): position and error, or target and actual position",
+    )
 }

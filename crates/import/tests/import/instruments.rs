@@ -232,3 +232,12 @@ fn what_no_source_describes_is_refused_in_a_line_with_what_would_do() {
         assert!(line.contains(phrase) && line.lines().count() == 1, "{name}: {line}");
     }
 }
+
+#[test]
+fn a_table_below_the_title_of_a_probing_cycle_is_read() {
+    for title in ["Probing cycle 978", "Antastzyklus 426"] {
+        let text = format!("{title}\nX [mm];Error X [µm]\n0;1\n50;3\n100;4\n");
+        let imported = read_as("log.txt", text.as_bytes(), &[]);
+        assert_eq!(imported.run, "x_mm,measured_dx_um\n0,1\n50,3\n100,4\n", "{title}");
+    }
+}
