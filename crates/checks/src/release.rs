@@ -11,6 +11,7 @@
 //! only if nothing was left out.
 
 use std::{
+    env::consts,
     fs,
     path::{Path, PathBuf},
     process::Command,
@@ -115,13 +116,23 @@ fn missing(
     (!lines.is_empty()).then(|| format!("{target} is left out; first: {}", lines.join("; ")))
 }
 
+/// Returns whether a build without `--target`, on a computer of this architecture and system, is for `target`.
+fn is_of(target: &str, architecture: &str, system: &str) -> bool {
+    let rest = match system {
+        "linux" => "unknown-linux-gnu",
+        "windows" => "pc-windows-gnu",
+        _ => return false,
+    };
+    target.strip_prefix(architecture).and_then(|it| it.strip_prefix('-')) == Some(rest)
+}
+
 /// Builds the tool for a platform and packs it.
 fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
     let mut build = cargo::locked("build");
     build.args(["--release", "--package", "trueup-cli"]);
     // This computer's own is built once, for the archive and for the package.
-    let is_own = *target == PLATFORMS[0].target;
+    let is_own = cfg!(target_env = "gnu") && is_of(target, consts::ARCH, consts::OS);
     let mut built = root.join("target");
     if !is_own {
         build.args(["--target", target]);
@@ -168,6 +179,22 @@ fn copy_all(from: &Path, to: &Path) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_the_platform_of_the_computer_is_built_without_its_name() {
+        let [x86, arm, windows] = PLATFORMS.each_ref().map(|it| it.target);
+        for (architecture, system, own) in [
+            ("x86_64", "linux", Some(x86)),
+            ("aarch64", "linux", Some(arm)),
+            ("x86_64", "windows", Some(windows)),
+            ("aarch64", "macos", None),
+        ] {
+            for target in [x86, arm, windows] {
+                let is_own = own == Some(target);
+                assert_eq!(is_of(target, architecture, system), is_own, "{target} on {system}");
+            }
+        }
+    }
 
     #[test]
     fn a_platform_without_its_tool_chain_is_named_with_the_lines_that_install_it() {

@@ -174,7 +174,7 @@ fn long_checks(checks: &mut Verification, programs: &[Program]) {
     checks.step("crates of others", supply_chain::crates);
 }
 
-/// Returns a command that passes or fails as a whole.
+/// Runs a command that passes or fails as a whole.
 fn check(command: &mut std::process::Command) -> Result<Tally> {
     process::run(command)?;
     Ok(Tally::passed(1))

@@ -10,8 +10,7 @@ use anyhow::{Context as _, Result};
 
 use super::source::SourceFile;
 
-/// Words whose frequency is printed: the heading, and the forms in lower case. A form that ends with a blank
-/// opens a sentence.
+/// Words whose frequency is printed: the heading, and the forms in lower case.
 const COUNTED: &[(&str, &[&str])] = &[
     ("told, tell", &["told", "tell", "tells", "telling"]),
     ("so much, so many", &["so much", "so many"]),

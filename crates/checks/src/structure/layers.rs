@@ -40,6 +40,27 @@ pub fn arrows_up(root: &Path) -> Result<Vec<String>> {
     Ok(manifests.iter().flat_map(|(name, text)| up(name, text)).collect())
 }
 
+/// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`LAYERS`] does not name: their
+/// arrows are seen by nothing.
+pub fn without_layer(root: &Path) -> Result<Vec<String>> {
+    let crates = root.join("crates");
+    let mut found = Vec::new();
+    for folder in [crates.clone()].into_iter().chain(LAYERS.iter().map(|(it, _)| crates.join(it))) {
+        if !folder.is_dir() {
+            continue;
+        }
+        for entry in fs::read_dir(&folder).with_context(|| folder.display().to_string())? {
+            let path = entry?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            if path.join("Cargo.toml").is_file() && layer(&name).is_none() {
+                found.push(path.strip_prefix(root).unwrap_or(&path).display().to_string());
+            }
+        }
+    }
+    found.sort();
+    Ok(found)
+}
+
 /// Returns the index of a crate's layer.
 fn layer(name: &str) -> Option<usize> {
     LAYERS.iter().position(|(_, names)| names.contains(&name))
@@ -75,5 +96,19 @@ mod tests {
                         [dev-dependencies]\ntrueup-twin.workspace = true\n";
         assert_eq!(up("cli", manifest), ["cli -> emulator (bench)"]);
         assert!(up("emulator", manifest).is_empty());
+    }
+
+    #[test]
+    fn a_crate_without_a_layer_is_found() -> Result<()> {
+        let root = std::env::temp_dir().join(format!("trueup-layers-{}", std::process::id()));
+        for name in ["core", "stranger", "board/link", "board/another"] {
+            let folder = root.join("crates").join(name);
+            fs::create_dir_all(&folder)?;
+            fs::write(folder.join("Cargo.toml"), "")?;
+        }
+        let found = without_layer(&root)?;
+        fs::remove_dir_all(&root)?;
+        assert_eq!(found, ["crates/board/another", "crates/stranger"]);
+        Ok(())
     }
 }

@@ -35,6 +35,8 @@ struct Limits {
     long_functions: usize,
     /// Dependencies on a higher layer.
     arrows: usize,
+    /// Crates of no layer.
+    strangers: usize,
     /// References that lead nowhere.
     nowhere: usize,
     /// Tables that an empty line cuts.
@@ -50,6 +52,7 @@ const LIMITS: Limits = Limits {
     long_files: 0,
     long_functions: 7,
     arrows: 2,
+    strangers: 0,
     nowhere: 0,
     cut_tables: 0,
     unseen: 0,
@@ -102,6 +105,11 @@ pub fn check(root: &Path) -> Result<String> {
     head(&mut text, "arrows up", arrows.len(), LIMITS.arrows)?;
     for arrow in &arrows {
         writeln!(text, "    {arrow}")?;
+    }
+    let strangers = layers::without_layer(root)?;
+    head(&mut text, "crates without a layer", strangers.len(), LIMITS.strangers)?;
+    for folder in &strangers {
+        writeln!(text, "    {folder}")?;
     }
     let unseen = modules::unseen(&sources);
     head(&mut text, "files that the format check does not see", unseen.len(), LIMITS.unseen)?;
