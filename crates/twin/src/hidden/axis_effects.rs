@@ -284,7 +284,7 @@ fn tilt_table(knots: &[f64], controls: &[f64], factor: f64) -> Named {
     }
 }
 
-/// Returns a screw or a scale grows with its temperature, which follows its thermometer late or at once, and
+/// Draws a screw or a scale that grows with its temperature, which follows its thermometer late or at once, while
 /// the machine file says nothing of it. What is warm is longer: c is never negative.
 fn expansion(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let tau_s = if stream.chance(0.33) { 0.0 } else { stream.log_uniform(100.0, 2500.0).round() };

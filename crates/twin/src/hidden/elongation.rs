@@ -228,7 +228,7 @@ impl Node {
     }
 }
 
-/// Returns the columns of a run but for those that depend on what is believed; next to them, not to be
+/// Computes the columns of a run but for those that depend on what is believed; next to them, not to be
 /// written, `growth_um`: what a sensor in the nose would see.
 fn simulate(
     config: &SpindleConfig,

@@ -160,7 +160,7 @@ fn instrument(runs: &[Run], stream: &mut Stream) -> Shape {
     }
 }
 
-/// Returns the shaft bows under its unbalance, and a bowed shaft stands shorter or, as its bearings' balls are
+/// Draws a shaft that bows under its unbalance. A bowed shaft stands shorter or, as its bearings' balls are
 /// forced to one side, further out. The part of the bow that turns with the unbalance is, by the
 /// response of a rotor with damping ζ,
 ///
@@ -342,7 +342,9 @@ pub(super) fn of_any_series(cause: Hidden, runs: &[Run], stream: &mut Stream) ->
             let period_s = stream.log_uniform(20.0 * interval_s, record_s / 6.0);
             let phase = stream.uniform(0.0, TAU);
             let wave = |t: &f64| (TAU * t / period_s + phase).sin();
+            // The phase has it: half a period more is the other sign.
             Shape {
+                has_sign: false,
                 at: Box::new(move |factor| {
                     Named::of(&[("period_s", period_s), ("amplitude_um", factor)])
                 }),

@@ -155,7 +155,7 @@ fn quantum_um(sigma: f64, stream: &mut Stream) -> f64 {
     if choice.is_empty() { 0.0001 } else { stream.pick(choice) }
 }
 
-/// Returns the clock of the logger that the gauge is on: it starts with the run, as the other does.
+/// Adds the clock of the logger that the gauge is on: it starts with the run, as the other does.
 fn with_gauge_clock(mut runs: Vec<Run>) -> Vec<Run> {
     for run in &mut runs {
         let time_s = run.column("time_s").to_vec();
