@@ -46,7 +46,7 @@ pub struct Learn {
     /// A record with readings, in the order in which they were taken; - is standard input.
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
-    /// What was probed just now, in µm: a reading next to the last row of the record, which is not older than a minute.
+    /// What was probed just now, in µm: a reading for the last row of the record, which is not older than a minute.
     #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = finite)]
     reading_um: Option<f64>,
     /// The machine file with what was learned.
@@ -296,7 +296,7 @@ fn print(path: &Path, learned: &Learned) -> Result<()> {
         }
     }
     for Now { key, unit, file, learned, half_width } in now(learned) {
-        let places = decimal_places(half_width);
+        let places = trueup_page::decimals_of_half_width(half_width);
         output::print(format_args!(
             "  {key}: {file} {unit} in your file, {learned:.places$} {unit} learned, ± {half_width:.places$} {unit}"
         ))?;
@@ -305,12 +305,4 @@ fn print(path: &Path, learned: &Learned) -> Result<()> {
         output::print(format_args!("  event: {}", event.sentence()))?;
     }
     learned.notes.iter().try_for_each(|note| output::print(format_args!("  {note}")))
-}
-
-/// Returns the decimal places that show two digits of a half width; one place at least, nine at most.
-fn decimal_places(half_width: f64) -> usize {
-    if half_width <= 0.0 || !half_width.is_finite() {
-        return 4;
-    }
-    (1.0 - half_width.log10().floor()).clamp(1.0, 9.0) as usize
 }

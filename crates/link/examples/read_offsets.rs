@@ -9,8 +9,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let line = slcan::encode_line(&frames::offset_z(&Output { offset, ..Output::default() }, 7));
     println!("{}", line.trim_end());
     // A damaged frame is an error here: its CRC is part of the frame.
-    let read = frames::decode_offset_z(&slcan::decode_line(line.trim_end().as_bytes())?)?;
-    println!("Z {:?}, quality {:?}, counter {}", read.offset, read.quality, 7);
+    let frame = slcan::decode_line(line.trim_end().as_bytes())?;
+    let read = frames::decode_offset_z(&frame)?;
+    println!(
+        "Z {:?}, quality {:?}, counter {}",
+        read.offset,
+        read.quality,
+        frames::counter(&frame)
+    );
     assert_eq!(read.offset, Some(Nanometres(12_340)));
     Ok(())
 }

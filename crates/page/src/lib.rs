@@ -19,5 +19,5 @@ mod unbroken;
 pub use bars::Bars;
 pub use chart::{Chart, Colour, Series};
 pub use html::{NEXT, Page, Table, commands, escaped};
-pub use number::{micrometres, significant, time_unit, within};
+pub use number::{decimals_of_half_width, micrometres, significant, time_unit, within};
 pub use origin::Origin;

@@ -54,8 +54,25 @@ pub fn within(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
     if !(width > 0.0 && width.is_finite()) {
         return [value, low, high].map(significant);
     }
-    let decimals = (1.0 - width.log10().floor()).clamp(0.0, 9.0) as usize;
+    let decimals = decimals_of_two(width, 0);
     [value, low, high].map(|number| format!("{number:.decimals$}").replace('-', "−"))
+}
+
+/// Returns the decimals that show two digits of a half width, one at least and nine at most; four where it is none.
+///
+/// ```
+/// assert_eq!(trueup_page::decimals_of_half_width(0.0123), 3);
+/// assert_eq!(trueup_page::decimals_of_half_width(123.0), 1);
+/// assert_eq!(trueup_page::decimals_of_half_width(0.0), 4);
+/// ```
+#[must_use]
+pub fn decimals_of_half_width(half_width: f64) -> usize {
+    if half_width > 0.0 && half_width.is_finite() { decimals_of_two(half_width, 1) } else { 4 }
+}
+
+/// Returns the decimals with which a positive width has two digits, from `least` to nine.
+fn decimals_of_two(width: f64, least: u8) -> usize {
+    (1.0 - width.log10().floor()).clamp(f64::from(least), 9.0) as usize
 }
 
 /// Returns the unit in which a time of this many seconds reads best, and how many seconds it has.
