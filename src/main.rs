@@ -443,7 +443,7 @@ mod app {
         cx.local.idle.run()
     }
 
-    /// Returns a tick of the node; its time becomes that of the log.
+    /// Runs a tick of the node, whose time becomes that of the log.
     fn tick(node: &mut Node<'_>, elapsed_ms: u32, input: Input<'_>) -> Frames {
         let frames = node.tick(elapsed_ms, input);
         NOW_MS.store(node.now().0, Ordering::Relaxed);

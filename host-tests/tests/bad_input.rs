@@ -280,7 +280,7 @@ fn a_missing_emulator_is_an_error_with_the_line_that_installs_it() -> Result<()>
     Ok(())
 }
 
-/// Returns a client that has opened the channel and reads until the line ends; gives how much it read.
+/// Starts a client that has opened the channel and reads until the line ends. Its thread returns how much it read.
 fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
     let mut stream = opened(bridge)?;
     Ok(thread::spawn(move || {
@@ -292,7 +292,7 @@ fn reader(bridge: &Bridge) -> Result<JoinHandle<usize>> {
     }))
 }
 
-/// Returns a client's line on which frames have begun to come.
+/// Opens a client's line, and waits until frames have begun to come.
 fn opened(bridge: &Bridge) -> Result<TcpStream> {
     let mut stream = bridge.connect()?;
     stream.write_all(OPEN)?;

@@ -114,7 +114,7 @@ fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
     Ok(address)
 }
 
-/// Returns a pair of offsets each millisecond, as long as somebody listens.
+/// Sends a pair of offsets each millisecond, until it is stopped or the client closes the line.
 fn tell_the_time(mut stream: TcpStream, stop: &AtomicBool) -> std::io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;

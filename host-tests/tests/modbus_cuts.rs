@@ -147,7 +147,7 @@ impl Plc {
         true
     }
 
-    /// Returns one step on: follows, holds, or takes back; the largest step of an axis, in nm.
+    /// Goes one step on: follows, holds, or takes back. Returns the largest step of an axis, in nm.
     fn follow(&mut self, now: u64) -> f64 {
         let without = now - self.fresh_ms;
         let (is_held, is_lost) = (without > STALE_MS, without > STALE_MS + HELD_MS);
@@ -240,7 +240,7 @@ impl World<'_> {
         Ok(())
     }
 
-    /// Returns a request to where the path leads, and what comes back of the answer.
+    /// Sends a request to where the path leads. Returns what comes back of the answer.
     fn ask(&mut self, pdu: &[u8]) -> Option<Vec<u8>> {
         let mut request = match self.path {
             Path::Gateway { .. } => {

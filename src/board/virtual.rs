@@ -233,7 +233,7 @@ impl SerialOut {
         self.poll_out(fill)
     }
 
-    /// Returns the same.
+    /// Sends the same way as [`Self::send`].
     pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let mut piece = [0; 16];
         loop {
@@ -356,12 +356,12 @@ impl NorFlash for Flash {
 pub struct Store;
 
 impl Store {
-    /// Returns the bytes of it, as many as there are.
+    /// Reads its bytes into `place`. Returns how many there are.
     fn load(place: &mut [u8]) -> usize {
         open(c"loaded.bin").map_or(0, |mut file| read_all(&mut file, place))
     }
 
-    /// Returns whether it was stored.
+    /// Stores a calibration. Returns whether it was stored.
     pub fn keep(&mut self, blob: &[u8], _feed: impl FnMut()) -> bool {
         semihosting::fs::write(c"loaded.bin", blob).is_ok()
     }

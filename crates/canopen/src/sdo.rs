@@ -143,7 +143,7 @@ impl Server {
         }
     }
 
-    /// Returns the outcome for a domain that had come whole, see [`Objects::close`].
+    /// Ends the transfer of a domain that had come whole, with this outcome, see [`Objects::close`].
     pub fn end(&mut self, outcome: Result<(), Abort>) -> Option<Frame> {
         let Phase::Waiting { at, toggle } = self.phase else { return None };
         Some(match outcome {

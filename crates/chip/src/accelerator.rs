@@ -66,7 +66,7 @@ impl Accelerator {
         }
     }
 
-    /// Returns whether the line is in the cache; it is from now on.
+    /// Looks a line up, and puts it into the cache where it is missing. Returns whether it was there.
     fn look_up(&mut self, line: u32) -> bool {
         self.clock += 1;
         let place = self.place[line as usize];

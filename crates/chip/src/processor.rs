@@ -32,7 +32,7 @@ pub const PENDED: [(&str, u16); 6] =
 
 /// Who answers the processor beyond its memories.
 pub trait Peripherals: Send + Sync {
-    /// Returns a read of 1, 2 or 4 bytes.
+    /// Reads 1, 2 or 4 bytes.
     fn read(&self, address: u32, size: u32) -> u32;
     /// A write of 1, 2 or 4 bytes.
     fn write(&self, address: u32, size: u32, value: u32);
@@ -233,7 +233,7 @@ impl Processor {
         self.bus_faults = 0;
     }
 
-    /// Returns one instruction or one exception; gives its cycles.
+    /// Executes one instruction or one exception. Returns its cycles.
     #[must_use]
     pub fn step(&self) -> u64 {
         self.core.step()

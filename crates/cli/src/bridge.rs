@@ -28,7 +28,7 @@ pub enum Command {
     ///
     /// With --previous it loads the calibration that the last load from this computer has replaced.
     /// Nothing is loaded while offsets are being followed: let the CNC disengage first, and set
-    /// Service there. Where no CNC is received, this says so itself.
+    /// Service there. Where no CNC sends, this sets Service itself.
     /// A calibration that is loaded starts without a reference. If the board has an older one for it, it offers
     /// that one. Each question of the bridge is answered at the CNC, by Confirm.
     /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.

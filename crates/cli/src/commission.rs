@@ -360,7 +360,7 @@ impl Work<'_> {
         }
     }
 
-    /// Returns the same, once what the board held is saved.
+    /// Loads the calibration of the sign test and asks for the reading, once what the board held is saved.
     fn sign_loaded(&mut self, blob: &str) -> Result<bool> {
         let axis = self.subject.axis();
         let port = self.args.port.clone();
@@ -419,7 +419,8 @@ impl Work<'_> {
         Ok(true)
     }
 
-    /// Returns whether it is enough. If not, the next round begins; the command ends, so that it is read.
+    /// Compares the runs without and with offsets. If the gain is not enough, the next round begins; the command ends,
+    /// so that it is read.
     fn accept(&mut self, fitted: &str) -> Result<Option<Step>> {
         let round = self.journal.round;
         let [off, on] = ["off", "on"].map(|which| self.path(&format!("{which}-{round}.csv")));

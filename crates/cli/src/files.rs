@@ -29,7 +29,7 @@ pub fn machine(path: &Path) -> Result<Machine, BadInput> {
     parsed(&MachineFile::read_text(path)?, path)
 }
 
-/// Returns the same of a text that is there already.
+/// Parses and checks the text of a machine file in the same way as [`machine`].
 pub fn parsed(source: &str, path: &Path) -> Result<Machine, BadInput> {
     let machine = MachineFile::parse(source, path)?;
     if let Some(refused) = check::refusal(&check::ranges(&machine), accepted()) {
@@ -78,7 +78,7 @@ pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> 
     usable(runs::read(path)?, machine)
 }
 
-/// Returns the same for a command that finds constants from the run: a column that is unlikely in the unit of its name,
+/// Reads a run file for a command that finds constants from it: a column that is unlikely in the unit of its name,
 /// or a clock that was set, is refused too, since a constant found from it is wrong.
 pub fn run_to_fit(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
     let run = runs::read(path)?;
@@ -120,7 +120,7 @@ fn refuse_slips(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput
     check::refusal(&refused, accepted()).map_or(Ok(()), Err)
 }
 
-/// Returns the same as [`run_to_fit`] for a command that looks after the names of the columns and the faults of
+/// Reads a run file as [`run_to_fit`] does, for a command that looks after the names of the columns and the faults of
 /// thermometers itself.
 pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, BadInput> {
     let run = with_tool_numbers(runs::read(path)?, Some(machine))?;
@@ -139,7 +139,7 @@ pub fn bytes(path: &Path, most: u64) -> Result<Vec<u8>, UserError> {
         .map_err(|error| UserError(format!("{}: {}", path.display(), error.rule)))
 }
 
-/// Returns the same of a text.
+/// Reads a text of at most this many bytes.
 pub fn text(path: &Path, most: u64) -> Result<String, UserError> {
     let rule = |_| UserError(format!("{}: is not UTF-8 text", path.display()));
     String::from_utf8(bytes(path, most)?).map_err(rule)

@@ -57,7 +57,7 @@ pub enum Command {
         /// Its parity; without one there are two stop bits.
         #[arg(long, value_enum, default_value_t = Parity::Even, requires = "serial")]
         parity: Parity,
-        /// The unit that is answered, next to 255.
+        /// The unit that is answered, in addition to 255.
         #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
         unit: u8,
     },

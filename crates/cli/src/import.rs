@@ -54,7 +54,7 @@ pub struct Import {
     /// Turn the sign of a column: a gauge that counts the other way round.
     #[arg(long, value_name = "COLUMN")]
     negate: Vec<String>,
-    /// The encoding, where it is stated wrongly: utf-8, utf-16le, latin1, windows-1252, iso-8859-15.
+    /// The encoding, where it is recognised wrongly: utf-8, utf-16le, latin1, windows-1252, iso-8859-15.
     #[arg(long)]
     encoding: Option<String>,
     /// The sheet of a workbook.

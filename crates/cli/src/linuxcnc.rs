@@ -102,7 +102,7 @@ pub struct LinuxCnc {
     /// Writes what it has to say to this file too: LinuxCNC keeps it from the screen.
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
-    /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs next to what is probed.
+    /// Writes the last hours of speeds and temperatures to this file, which trueup learn needs together with what is probed.
     #[arg(long, value_name = "RUN.csv", requires = "machine")]
     record: Option<PathBuf>,
     /// What trueup learn has written next to the machine file: as far as [limits.learned] permits, the bridge is told

@@ -90,7 +90,7 @@ struct Cli {
 }
 
 impl Cli {
-    /// Returns a command line as users write it, with its short forms.
+    /// Parses a command line as users write it, with its short forms.
     fn read(words: impl IntoIterator<Item: Into<OsString> + Clone>) -> Result<Self, clap::Error> {
         let tool = help::with_examples(Self::command());
         let words = words.into_iter().map(Into::into).collect();

@@ -131,7 +131,7 @@ pub fn remarks(remarks: &[Warning]) {
     }
 }
 
-/// Returns what the user asked to be told beyond the result, by `-v`.
+/// Prints details beyond the result, where the user has asked for them by `-v`.
 pub fn in_detail(words: impl FnOnce() -> String) {
     if manner().verbose && !manner().json {
         trueup_output::diagnostic(words());

@@ -41,7 +41,7 @@ pub struct Trend {
     out: Option<PathBuf>,
 }
 
-/// Returns a day as it is written.
+/// Parses a day as it is written.
 fn day(text: &str) -> Result<dated::Day, String> {
     dated::day_of(text).ok_or_else(|| "is no date like 2026-11-22".into())
 }

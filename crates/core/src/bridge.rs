@@ -172,7 +172,7 @@ impl<'a> Bridge<'a> {
         state.heat.learned.ask(change, self.calibration.limits.learned)
     }
 
-    /// Returns one tick: `now` is the time at its end.
+    /// Computes one tick: `now` is the time at its end.
     // A part of the node's tick, also where an image has that twice: a call costs 20 instructions.
     #[inline(always)]
     pub fn tick(&self, state: &mut State, now: Millis, input: Input<'_>) -> Output {

@@ -290,7 +290,7 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
     temperatures.get(usize::from(number)).copied().flatten()
 }
 
-/// Returns the lagged temperature; a lag starts settled at the first temperature that it sees.
+/// Moves a lag one step. Returns the lagged temperature; a lag starts settled at the first temperature that it sees.
 fn step_lag(
     lag: &mut Option<Lag>,
     temperature: Temperature,

@@ -53,7 +53,7 @@ pub struct LimitStatus {
 }
 
 impl Applied {
-    /// Returns one step towards `target`, never beyond the clamp, never faster than the slew limit.
+    /// Moves one step towards `target`, never beyond the clamp, never faster than the slew limit.
     ///
     /// ```
     /// use trueup_core::{limits::{Applied, Limits}, units::Nanometres};
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(applied.offset(), [Nanometres(500), Nanometres(-500), Nanometres(400)]);
     }
 
-    /// Returns the same in one count of picometres, with a division of 64 bits.
+    /// Moves as [`Applied::step`] does, in one count of picometres, with a division of 64 bits.
     fn counted(picometres: &mut i64, target: i32, reach: i64) -> i32 {
         let missing = i64::from(target) * 1_000 - *picometres;
         *picometres += missing.clamp(-reach, reach);

@@ -9,7 +9,7 @@ use crate::{
     units::{Nanometres, Temperature},
 };
 
-/// Returns a linear congruential generator; its high half.
+/// Steps a linear congruential generator. Returns its high half.
 pub fn random(seed: &mut u64) -> u32 {
     *seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
     (*seed >> 32) as u32

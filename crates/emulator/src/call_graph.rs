@@ -61,7 +61,7 @@ impl Reached {
 }
 
 impl CallGraph {
-    /// Returns the functions of an image.
+    /// Reads the functions of an image.
     ///
     /// # Errors
     /// It cannot be read, or has no symbols.

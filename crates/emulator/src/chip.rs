@@ -148,7 +148,7 @@ impl Line {
         Self::start_at("--serial", model, image, options)
     }
 
-    /// Returns the same, of the RS-485 line for a PLC.
+    /// Starts the same, with the RS-485 line for a PLC.
     ///
     /// # Errors
     /// As [`Self::start`].

@@ -31,7 +31,7 @@ pub struct LiveChip {
 }
 
 impl LiveChip {
-    /// Returns a board with its power just switched on, whose serial line is a TCP port of this machine; 0: any
+    /// Starts a board with its power just switched on, whose serial line is a TCP port of this machine; 0: any
     /// free one.
     ///
     /// # Errors

@@ -136,7 +136,7 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
     build_as(Board::Stm32f405, "stm32f405", &name, Linked::File(machine))
 }
 
-/// Returns the same with the feature `faults`: it breaks when it is told to, and is never for a machine.
+/// Builds the same with the feature `faults`: it breaks when it is told to, and is never for a machine.
 ///
 /// # Errors
 /// As [`build_for`].

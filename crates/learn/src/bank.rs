@@ -156,8 +156,8 @@ impl Bank {
         both.for_each(|filter| filter.age(dt_s));
     }
 
-    /// Returns a reading, where the file as it is misses by `y_um`. What became of it is said by the filter that counts
-    /// most.
+    /// Takes a reading, where the file as it is misses by `y_um`. Returns what became of it, as the filter that counts
+    /// most has it.
     pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
         let learned_um: f64 = g.iter().zip(self.learned.lasting()).map(|(g, x)| g * x).sum();
         let (by_file, _) = self.file.take(g, y_um);
@@ -186,7 +186,7 @@ impl Side {
         Self { filters, weights }
     }
 
-    /// Returns how likely it thought the reading to be, and what became of it.
+    /// Takes a reading. Returns how likely it thought the reading to be, and what became of it.
     fn take(&mut self, g: &[f64], y_um: f64) -> (f64, Fate) {
         let forgets = 1.0 - 1.0 / COMPARED as f64;
         let before: Vec<f64> = self.weights.iter().map(|weight| weight.powf(forgets)).collect();

@@ -315,7 +315,7 @@ impl Filter {
     }
 }
 
-/// Returns what wanders is in every reading as it is.
+/// Returns `g` with a 1 for the part that wanders, which is in every reading as it is.
 fn with_wander(g: &[f64]) -> Vec<f64> {
     [g, &[1.0]].concat()
 }

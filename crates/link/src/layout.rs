@@ -126,7 +126,7 @@ pub const NO_ELONGATION_RAW: i32 = i32::MIN;
 pub const COUNT_LOW: Signal = Signal::unsigned(32, 16);
 /// The second one.
 pub const COUNT_HIGH: Signal = Signal::unsigned(48, 16);
-/// What a CNC must know of the bridge next to its offsets, a bit each.
+/// Conditions of the bridge that a CNC must know in addition to the offsets, a bit each.
 pub const STATE_BITS: Signal = Signal::unsigned(32, 32);
 /// CRC of the running calibration.
 pub const CALIBRATION_CRC: Signal = Signal::unsigned(32, 32);

@@ -118,7 +118,7 @@ pub enum Item {
         /// [`Item::State`].
         faults: u16,
     },
-    /// What a CNC must know of the bridge next to its offsets.
+    /// Conditions of the bridge that a CNC must know in addition to the offsets.
     State(StateBits),
     /// How the board came to run.
     Reset {
@@ -140,7 +140,7 @@ pub enum Item {
     },
 }
 
-/// What a CNC must know of the bridge next to its offsets: one bit a condition, 0 where all is well.
+/// Conditions of the bridge that a CNC must know in addition to the offsets: one bit each, 0 where all is well.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StateBits(pub u32);
 

@@ -158,7 +158,7 @@ impl Template {
         self.write_next(out, file)
     }
 
-    /// Returns the commands that come next, each as it can be typed.
+    /// Writes the commands that come next, each as it can be typed.
     fn write_next(&self, out: &mut String, file: &str) -> std::fmt::Result {
         let (program, export) = self.control.names();
         // An ending of its own for each step: no command overwrites what it reads.

@@ -55,7 +55,7 @@ impl Random {
         }
     }
 
-    /// Returns a sensor, a direction and limits that the compiler could have written, in `calibration`.
+    /// Draws a sensor, a direction and limits that the compiler could have written. Returns `calibration` with them.
     fn change<'c>(&mut self, calibration: &Calibration<'c>) -> Calibration<'c> {
         let mut calibration = *calibration;
         calibration.kinematics.zero = stored(self.unit_vector());

@@ -317,7 +317,7 @@ impl<'a> Node<'a> {
         }
     }
 
-    /// Returns one tick that ends `elapsed_ms` after the last one. Gives the frames to send.
+    /// Runs one tick, which ends `elapsed_ms` after the last one. Returns the frames to send.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
     pub fn tick(&mut self, elapsed_ms: u32, input: Input<'_>) -> Frames {

@@ -263,7 +263,7 @@ impl<'a> Vectors<'a> {
         }
     }
 
-    /// Returns the tick of the vector that was prepared.
+    /// Runs the tick of the vector that was prepared.
     #[inline]
     pub fn tick(&mut self) -> Frames {
         let input =

@@ -121,7 +121,7 @@ impl Indicator {
 /// A reading has a few digits.
 const MOST_BYTES: usize = 4_096;
 
-/// Returns a line, which CR or LF ends; how many bytes were taken.
+/// Reads a line, which CR or LF ends. Returns how many bytes were taken.
 fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
     let mut taken = 0;
     loop {

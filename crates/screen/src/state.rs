@@ -214,7 +214,7 @@ impl State {
         self.asked = Some((growth_um, now_s));
     }
 
-    /// Returns the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
+    /// Takes the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
     pub fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
         self.now_s = now_s;
         match heard {
@@ -258,7 +258,7 @@ impl State {
         self.trend.push(now_s, values);
     }
 
-    /// Returns what a key does.
+    /// Takes a key. Returns the action that it asks for.
     pub fn key(&mut self, key: Key) -> Option<Action> {
         if key == Key::Interrupt {
             return Some(Action::Quit);

@@ -86,7 +86,7 @@ pub struct Found {
     pub foreign: u32,
     /// Slots that hold something, but no calibration.
     pub damaged: u32,
-    /// One of these was stored after `newest`, or there is none next to it: what counts is older than
+    /// One of these was stored after `newest`, or there is no `newest`: what counts is older than
     /// what was loaded last.
     pub newer_is_damaged: bool,
 }

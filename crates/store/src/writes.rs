@@ -1,6 +1,6 @@
 //! What was written to the board, when, and over which line: the log that outlasts the power.
 //!
-//! A write is distinguished from the node (RAM, and object 0x2110) and kept next to the references
+//! A write is reported by the node (RAM, and object 0x2110) and kept in the flash, together with the references
 //! ([`crate::reference`]), in a slot of the same 32 bytes:
 //!
 //! | offset | a record, little-endian | unit |

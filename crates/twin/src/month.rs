@@ -128,7 +128,7 @@ pub fn month(seed: u64, ages: bool) -> Month {
     Month { machine, days }
 }
 
-/// Returns one day, from seven in the morning on.
+/// Simulates one day, from seven in the morning on.
 fn worked(
     day: usize,
     is_probed: bool,

@@ -39,7 +39,7 @@ pub fn growth_um(tools: &[ToolConfig], number: u16, spindle_rpm: f64) -> f64 {
     tool.map_or(0.0, |tool| tool.centrifugal_um_per_krpm2 * (spindle_rpm / 1000.0).powi(2))
 }
 
-/// Returns the first rule that the tools, or the pieces that take them, break.
+/// Checks the tools and the pieces that take them. Fails with the first rule that is broken.
 pub(crate) fn check(tools: &[ToolConfig], segments: &[Segment]) -> Result<(), Rule> {
     let mut numbers = BTreeSet::new();
     for (index, tool) in tools.iter().enumerate() {

@@ -96,7 +96,7 @@ fn growth_is_the_integral_of_the_expansion() {
     assert!((grown_um - 30.0).abs() < 1e-9, "{grown_um}");
 }
 
-/// Returns the half wave between held faces decays by its own eigenvalue: exact everywhere and always.
+/// Returns the error of the half wave between held faces, which decays by its own eigenvalue: exact everywhere and always.
 fn error_after(cells: usize, theta: f64, dt_s: f64, end_s: f64) -> f64 {
     let mut rod = rod(cells, theta);
     (rod.left, rod.right) = (End::Held(0.0), End::Held(0.0));

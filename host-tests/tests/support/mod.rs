@@ -131,7 +131,7 @@ impl Running {
         Self::start_into(command, Stdio::null())
     }
 
-    /// Returns the same, with its standard output to somewhere.
+    /// Starts a command, with its standard output to somewhere.
     pub fn start_into(command: &mut Command, output: Stdio) -> Result<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
@@ -293,13 +293,13 @@ impl Bridge {
         Ok(Self { command, qemu, address })
     }
 
-    /// Returns the same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
+    /// Starts the same with [`FAST_MACHINE`] and [`GROWN_RUN`], at this speed. The files are read before
     /// it serves.
     pub fn start_grown_at(speed: &str) -> Result<Self> {
         Self::start_grown_there("127.0.0.1:0", speed)
     }
 
-    /// Returns the same in real time, where another one was.
+    /// Starts the same in real time, where another one was.
     pub fn start_grown_at_address(address: &str) -> Result<Self> {
         Self::start_grown_there(address, "1")
     }
@@ -311,7 +311,7 @@ impl Bridge {
         Self::start_at(address, &["--machine", &machine, "--run", &run, "--speed", speed])
     }
 
-    /// Returns the same in real time.
+    /// Starts the same in real time.
     pub fn start_grown() -> Result<Self> {
         Self::start_grown_at("1")
     }
@@ -321,7 +321,7 @@ impl Bridge {
         &self.address
     }
 
-    /// Returns a client's connection, on which no wait is for ever.
+    /// Opens a client's connection, on which no wait is for ever.
     pub fn connect(&self) -> Result<TcpStream> {
         let stream = TcpStream::connect(&self.address)?;
         stream.set_nodelay(true)?;

@@ -98,7 +98,7 @@ pub struct Rs485 {
 }
 
 impl Rs485 {
-    /// Returns what came in, with its time. While the board sends it receives nobody.
+    /// Takes the byte that came in, with its time. While the board sends it ignores what comes in.
     #[allow(unsafe_code, reason = "a register of the timer")]
     pub fn take(&mut self) -> Option<Heard> {
         // Read in this order, they clear what is set.

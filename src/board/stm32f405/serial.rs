@@ -173,7 +173,7 @@ impl SerialOut {
         let _sent = within(SEND_POLLS, || Write::write(&mut self.tx, byte).is_ok());
     }
 
-    /// Returns a few of the bytes that wait, each polled out; where the DMA is dead.
+    /// Polls out a few of the bytes that wait, one by one, where the DMA is dead.
     pub fn poll_out(&mut self, mut fill: impl FnMut(&mut [u8]) -> usize) -> Sent {
         let mut piece = [0; POLLED_AT_ONCE];
         let count = fill(&mut piece);

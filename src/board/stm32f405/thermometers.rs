@@ -95,7 +95,7 @@ impl Thermometers {
         self.linear = Some(inputs);
     }
 
-    /// Returns one turn, every 10 ms. After each round it gives what all channels deliver.
+    /// Takes one turn, every 10 ms. Returns what all channels deliver after each round.
     pub fn turn(&mut self) -> Option<RawTemperatures> {
         let number = self.turn;
         self.turn = (self.turn + 1) % ROUND;

@@ -81,7 +81,7 @@ impl Chip {
         true
     }
 
-    /// Returns a read by the processor; `size` in bytes.
+    /// Reads for the processor; `size` in bytes.
     pub fn bus_read(&mut self, addr: u32, size: u32) -> u32 {
         let word = addr & !3;
         let shift = (addr & 3) * 8;

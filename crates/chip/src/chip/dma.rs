@@ -204,7 +204,7 @@ impl Chip {
         self.dma[d].s[n].cr &= !1;
     }
 
-    /// Returns one request of a peripheral. `None`: no stream listens; otherwise whether it was the last item.
+    /// Serves one request of a peripheral. Returns `None` if no stream listens, else whether it was the last item.
     pub(crate) fn dma_request(&mut self, d: usize, n: usize, channel: u32) -> Option<bool> {
         let s = self.dma[d].s[n];
         if self.faults.serial_dma_stuck && (d, channel) == (1, 4) {

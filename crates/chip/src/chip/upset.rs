@@ -16,7 +16,7 @@ pub struct Disturbance {
 }
 
 impl Chip {
-    /// Returns what a line of a script says; `false`: it is no upset.
+    /// Does what a line of a script says. Returns `false` if it is no upset.
     pub(crate) fn upset(&mut self, words: &[String]) -> bool {
         let hex = |i: usize| {
             let word = words.get(i).map(|word| word.trim_start_matches("0x"));

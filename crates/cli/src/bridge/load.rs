@@ -141,7 +141,7 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
 
-/// Returns the calibration in a file, without what follows it.
+/// Reads the calibration in a file, without what follows it.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
     let bytes = files::bytes(path, MOST_BYTES)?;

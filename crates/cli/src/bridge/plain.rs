@@ -162,7 +162,7 @@ fn listen(
     Ok(())
 }
 
-/// Returns the line, opened again, if that is possible until `line_end`.
+/// Opens the line again, if that is possible until `line_end`.
 fn reopened(
     port: &Port,
     line_end: Instant,

@@ -206,7 +206,7 @@ pub struct Pitch {
 pub enum Ways {
     /// What gains on repeats left out.
     Automatic,
-    /// One table, and a backlash next to it if that gains.
+    /// One table, and also a backlash if that gains.
     One,
     /// One table for each direction.
     Both,

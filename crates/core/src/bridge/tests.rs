@@ -74,7 +74,7 @@ impl Rig {
         self.last
     }
 
-    /// Returns the same, with a `Control` every 20 ms.
+    /// Runs as [`Self::run`] does, with a `Control` every 20 ms.
     fn run_engaged(&mut self, ms: u32, code: u16) -> Output {
         for n in 0..ms {
             if n % 20 == 0 {

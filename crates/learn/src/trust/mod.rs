@@ -185,7 +185,7 @@ impl Watch {
         self.step_after(1.0, apart_um).is_some()
     }
 
-    /// Returns the row `gap` steps of the clock after the one before it. Returns the row, from 0, in which the sum
+    /// Takes the row `gap` steps of the clock after the one before it. Returns the row, from 0, in which the sum
     /// began that is an alarm.
     fn step_after(&mut self, gap: f64, apart_um: f64) -> Option<usize> {
         self.row += 1;

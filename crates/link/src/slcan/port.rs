@@ -26,7 +26,7 @@ pub const TX_CAPACITY: usize = 256;
 /// Room that frames leave for answers, so that a client is answered while frames pile up.
 const ANSWER_RESERVE: usize = 32;
 
-/// The version of hardware and software that clients are reported, two digits each.
+/// The version of hardware and software in the answer to a client, two digits each.
 const VERSION: &[u8] = b"V1013\r";
 
 /// What went wrong since the start. Each count stops at its largest value.
@@ -121,13 +121,13 @@ impl Port {
         true
     }
 
-    /// Returns the next byte to transmit.
+    /// Takes the next byte to transmit.
     pub fn pop(&mut self) -> Option<u8> {
         let mut byte = [0];
         (self.take(&mut byte) == 1).then_some(byte[0])
     }
 
-    /// Returns the next bytes to transmit, as many as there are and `piece` has room for; gives how many.
+    /// Takes the next bytes to transmit into `piece`, as many as there are and it has room for. Returns how many.
     pub fn take(&mut self, piece: &mut [u8]) -> usize {
         let count = self.tx.len().min(piece.len());
         let (oldest, rest) = self.tx.split_at(count);

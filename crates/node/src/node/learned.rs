@@ -14,7 +14,7 @@ use super::Node;
 
 impl Node<'_> {
     /// Takes what a believed `Control` says of it.
-    // Of 50 frames a second none, or one part: not in what receives the others.
+    // Called for none of the 50 frames a second, or for one part: kept out of the code that all frames run.
     #[inline(never)]
     pub(super) fn hear_learned(&mut self, change: Change) {
         let is_ours = change.calibration == named(identity(self.blob));

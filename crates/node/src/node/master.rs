@@ -176,7 +176,7 @@ impl Master {
             self.quiet_ms = 0;
             // It may be another sender.
             (self.has_engaged, self.was_interrupted) = (false, true);
-            // This much more that it lasts for a while after the last of them.
+            // Up to one weight more than a second master has, so that the doubt lasts for a while after the last of them.
             self.strange = self.strange.saturating_add(WEIGHT).min(SECOND_MASTER + WEIGHT);
             self.is_doubtful |= self.strange >= SECOND_MASTER;
         }

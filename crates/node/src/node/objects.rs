@@ -180,7 +180,7 @@ impl Node<'_> {
     }
 }
 
-/// Returns what a master is reported of a calibration that is not loaded.
+/// Returns the abort code that a master gets for a calibration that is not loaded.
 pub(super) const fn abort(error: LoadError) -> Abort {
     match error {
         LoadError::TooLong => Abort::TooLong,

@@ -94,7 +94,7 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
     );
 }
 
-/// Returns what the board does with the writes: stores them, or not.
+/// Stores the writes that wait, as the board does, numbered from `first`. Returns them.
 fn store(node: &mut Node<'_>, first: u32) -> Vec<Write> {
     let mut stored = Vec::new();
     while let Some(write) = node.take_write() {

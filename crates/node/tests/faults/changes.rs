@@ -99,7 +99,7 @@ fn a_thousand_resets_are_within_a_micrometre_of_a_bridge_without_them() {
     resets(1_000, 4);
 }
 
-/// What may make a bridge change its source, next to the sensor's cable.
+/// Faults that may make a bridge change its source, apart from the sensor's cable.
 const CAUSES: [Option<(Part, Kind)>; 5] = [
     None,
     Some((Part::SpindleThermometer, Kind::Off)),
@@ -133,8 +133,8 @@ impl Deviation {
     }
 }
 
-/// Returns a fault and what follows from it; the changes of source in it, and by how much the offset goes beyond the
-/// true growth in the first second of each, in nm.
+/// Draws a fault and runs through what follows from it. Returns the changes of source in it, and raises `worst_nm` to
+/// how far the offset goes beyond the true growth in the first second of each.
 fn changes_by_a_fault(rig: &mut Rig, worst_nm: &mut f64) -> u32 {
     let drawn = rig.bits();
     let blind = drawn.is_multiple_of(3);

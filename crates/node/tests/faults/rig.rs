@@ -181,7 +181,7 @@ pub struct Rig {
     /// What fails, how, and since when.
     pub fault: Option<(Part, Kind, u32)>,
     pub engage: bool,
-    /// The sensor's cable is off next to it: the bridge runs on its fall-back.
+    /// The sensor's cable is off too: the bridge runs on its fall-back.
     pub blind: bool,
     pub heat: f64,
     pub runs: bool,

@@ -51,7 +51,7 @@ struct State {
     fastest: f64,
 }
 
-/// Returns the first danger.
+/// Follows all events. Fails with the first danger.
 pub fn walk(events: &[Event], limits: &Limits, plan: &Plan) -> Result<(), String> {
     let mut state = State::default();
     for (n, event) in events.iter().enumerate() {

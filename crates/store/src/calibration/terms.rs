@@ -324,7 +324,7 @@ impl<'b> Field<'b> for OnOff {
     }
 }
 
-/// Returns the numbers of a factor and of a default, 0 or 1.
+/// Reads the numbers of a factor and of a default, 0 or 1.
 fn factor(from: &mut Reader<'_>) -> [u8; 2] {
     let offset = from.at;
     let word = u32::get(from);
@@ -340,7 +340,7 @@ fn put_axes<A>(tilt: &Tilt<A>, to: &mut Writer<'_>) {
     tilt.origin.put(to);
 }
 
-/// Returns the axes and the zero of the lever, then the angle.
+/// Reads the axes and the zero of the lever, then the angle.
 fn get_axes<'b, A>(from: &mut Reader<'b>, angle: impl FnOnce(&mut Reader<'b>) -> A) -> Tilt<A> {
     let axes = from.term_byte(INPUT);
     let mut axis = |number: u8| {

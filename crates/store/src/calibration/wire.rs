@@ -97,7 +97,7 @@ impl<'o> Writer<'o> {
         }
     }
 
-    /// Returns a reference to a table, and the table. Gives where that begins.
+    /// Writes a reference to a table, and the table. Returns where that begins.
     pub fn table<const N: usize>(&mut self, records: &[[u8; N]]) -> usize {
         let start = self.tables_end;
         // A place or a number beyond 16 bits is beyond the largest blob, which is refused.

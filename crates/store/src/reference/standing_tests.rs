@@ -6,7 +6,7 @@ use crate::writes::Origin;
 const A: u32 = OURS;
 const B: u32 = 0xBBBB_0001;
 
-/// Returns a start on a calibration, as a board does it; what it has found.
+/// Starts on a calibration, as a board does. Returns what it has found.
 fn start(log: &References<Flash>, calibration: u32) -> (References<Flash>, Standing) {
     let (mut log, found) = open(&log.log.flash, calibration);
     log.make_room().unwrap();

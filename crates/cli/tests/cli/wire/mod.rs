@@ -46,7 +46,7 @@ impl Write for Tools {
     }
 }
 
-/// Returns a socket that does not block may take bytes in parts.
+/// Writes all bytes: a socket that does not block may take them in parts.
 pub fn write_all(stream: &mut impl Write, mut bytes: &[u8]) -> std::io::Result<()> {
     while !bytes.is_empty() {
         match stream.write(bytes) {
