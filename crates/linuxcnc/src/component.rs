@@ -98,12 +98,11 @@ pub struct Outputs {
     pub applied: bool,
     /// Valid offsets arrive.
     pub connected: bool,
-    /// No offset can be trusted: none for longer than the hold, "not available", or LinuxCNC does
-    /// not take the counts.
+    /// No offset can be trusted: none for longer than the hold, "not available", or LinuxCNC takes none.
     pub fault: bool,
     /// An axis could not follow for half a second: soft limit, joint mode, no `OFFSET_AV_RATIO`.
     pub limited: bool,
-    /// LinuxCNC does not take the counts of an axis.
+    /// LinuxCNC does not take the offset of an axis.
     pub not_taken: bool,
     /// As on the wire; 4 while the component holds, 5 while it takes back, 6 after that.
     pub quality: Quality,
@@ -301,12 +300,13 @@ impl Component {
         outputs: &mut Outputs,
     ) -> Applied {
         if self.options.joints.iter().any(Option::is_some) {
-            let step = Step { ready, goal_nm, max_nm: self.options.limits.max_nm };
+            let step = Step { now, ready, goal_nm, max_nm: self.options.limits.max_nm };
             let (goals, applied) = self.joints.step(&step, &self.options.joints, &inputs.joints);
-            (outputs.joints, outputs.limited) = (goals, applied.limited);
+            (outputs.limited, outputs.not_taken) = (applied.limited, applied.not_taken);
+            outputs.joints = goals;
             return applied;
         }
-        let mut applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
+        let mut applied = Applied::NOTHING;
         for (axis, follower) in self.followers.iter_mut().enumerate() {
             let reading = inputs.readings[axis];
             let goal = goal_nm.map(|goal| goal[axis]);

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// Three `Control` frames, 20 ms apart, with as long again for a loop that comes late.
 const RELEASED: Duration = Duration::from_millis(120);
-/// A bridge that has received `Engage` for so long and says "not available" is distinguished from the beginning.
+/// A bridge that has received `Engage` for this long and still says "not available" gets the sequence (0, then 1) again.
 const AGAIN: Duration = Duration::from_secs(1);
 
 /// Whether `Engage` is raised.

@@ -14,12 +14,18 @@
 //! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never further
 //! from the planner's machine than the offset of the axis; both are counted without the base.
 
+use std::time::Duration;
+
 /// `moveoff` has this many joints.
 pub const MAX_JOINTS: usize = 9;
 /// An offset is applied when it is within this of its goal, in nanometres.
 const APPLIED_WITHIN_NM: f64 = 20.0;
 /// `motor-offset` has changed if it differs by this, in nanometres.
 const SAME_NM: f64 = 1e-3;
+/// An offset moves if it does so by this, in nanometres.
+const MOVED_NM: f64 = 1.0;
+/// An offset that is not at its goal and has not moved for so long is not taken.
+const LOST_AFTER: Duration = Duration::from_secs(1);
 
 /// Settings of a joint that gets an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +55,16 @@ pub struct JointReading {
     pub homing: bool,
 }
 
+impl JointReading {
+    /// Returns what is known of a joint whose wires are not connected yet: its pins say 0, and the first real value
+    /// would count as a change.
+    #[must_use]
+    pub fn not_wired() -> Self {
+        let unknown = f64::NAN;
+        Self { now_nm: unknown, command_nm: unknown, reference_nm: unknown, homing: true }
+    }
+}
+
 /// What `moveoff` is to do with a joint, in nanometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointGoal {
@@ -71,6 +87,14 @@ pub struct Applied {
     pub arrived: bool,
     /// True if a joint stands back from its limit.
     pub limited: bool,
+    /// True if `moveoff` does not bring a joint to its goal.
+    pub not_taken: bool,
+}
+
+impl Applied {
+    /// Nothing acts, and nothing is to.
+    pub const NOTHING: Self =
+        Self { nm: [0.0; 3], at_zero: true, arrived: true, limited: false, not_taken: false };
 }
 
 /// A joint between two steps.
@@ -80,6 +104,10 @@ struct State {
     offset_nm: f64,
     /// `motor-offset` at the step before; `None` before the first one.
     reference_nm: Option<f64>,
+    /// The offset follows the bridge: the machine was ready at the step before.
+    follows: bool,
+    /// Where the offset stands off its goal, and since when.
+    stands: Option<(f64, Duration)>,
 }
 
 /// The offsets of all joints.
@@ -91,6 +119,8 @@ pub struct JointOffsets {
 /// What a step starts from.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
+    /// The time.
+    pub now: Duration,
     /// The machine is on and all joints are homed.
     pub ready: bool,
     /// Offsets of X, Y and Z, in nanometres; `None`: as before.
@@ -101,9 +131,9 @@ pub struct Step {
 
 impl JointOffsets {
     /// Goes on from what a component before this one has left at the pins of `moveoff`.
-    pub fn resume(&mut self, joint: usize, left: JointGoal, reference_nm: Option<f64>) {
+    pub fn resume(&mut self, joint: usize, left: JointGoal) {
         let base_nm = f64::midpoint(left.min_nm, left.max_nm);
-        self.states[joint] = State { base_nm, offset_nm: left.offset_nm, reference_nm };
+        self.states[joint] = State { base_nm, offset_nm: left.offset_nm, ..State::default() };
     }
 
     /// Computes the goal of each joint.
@@ -114,12 +144,13 @@ impl JointOffsets {
         readings: &[JointReading; MAX_JOINTS],
     ) -> ([JointGoal; MAX_JOINTS], Applied) {
         let mut goals = [JointGoal::default(); MAX_JOINTS];
-        let mut applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
+        let mut applied = Applied::NOTHING;
         for (index, (joint, reading)) in joints.iter().zip(readings).enumerate() {
             let Some(joint) = joint else { continue };
             let state = &mut self.states[index];
             state.follow_reference(reading);
-            if let (true, false, Some(goal)) = (step.ready, reading.homing, step.goal_nm) {
+            state.hold(step.ready && !reading.homing, reading);
+            if let (true, Some(goal)) = (state.follows, step.goal_nm) {
                 let goal = f64::from(goal[joint.axis]);
                 let allowed = within_limits(goal, joint, reading);
                 applied.limited |= (allowed - goal).abs() > APPLIED_WITHIN_NM;
@@ -137,6 +168,7 @@ impl JointOffsets {
             }
             applied.at_zero &= acts.abs() <= APPLIED_WITHIN_NM;
             applied.arrived &= (reading.now_nm - state.offset_nm).abs() <= APPLIED_WITHIN_NM;
+            applied.not_taken |= state.is_lost(step.now, reading);
         }
         applied.arrived &= !applied.limited;
         (goals, applied)
@@ -154,6 +186,29 @@ impl State {
             self.base_nm = reading.now_nm;
             self.offset_nm = reading.now_nm;
         }
+    }
+
+    /// Keeps the offset that acts when the machine is no longer ready, on whatever way it is to its goal.
+    fn hold(&mut self, follows: bool, reading: &JointReading) {
+        if self.follows && !follows && reading.now_nm.is_finite() {
+            self.offset_nm = reading.now_nm;
+        }
+        self.follows = follows;
+    }
+
+    /// Returns whether `moveoff` leaves the offset where it is, off its goal.
+    fn is_lost(&mut self, now: Duration, reading: &JointReading) -> bool {
+        let is_off = (reading.now_nm - self.offset_nm).abs() > APPLIED_WITHIN_NM;
+        if !self.follows || !is_off {
+            self.stands = None;
+            return false;
+        }
+        let (at_nm, since) = *self.stands.get_or_insert((reading.now_nm, now));
+        if (reading.now_nm - at_nm).abs() > MOVED_NM {
+            self.stands = Some((reading.now_nm, now));
+            return false;
+        }
+        now.saturating_sub(since) >= LOST_AFTER
     }
 }
 
@@ -184,23 +239,29 @@ mod tests {
         reading: JointReading,
         applied: Applied,
         goal: JointGoal,
+        ms: u64,
+        /// `moveoff` covers this share of the way to its goal in a step.
+        share: f64,
     }
 
     impl World {
         fn new() -> Self {
-            let applied = Applied { nm: [0.0; 3], at_zero: true, arrived: true, limited: false };
             let (offsets, goal) = (JointOffsets::default(), JointGoal::default());
-            Self { offsets, reading: JointReading::default(), applied, goal }
+            let reading = JointReading::default();
+            Self { offsets, reading, applied: Applied::NOTHING, goal, ms: 0, share: 1.0 }
         }
 
         fn step(&mut self, ready: bool, z_nm: Option<i32>) -> f64 {
             let (mut joints, mut readings) =
                 ([None; MAX_JOINTS], [JointReading::default(); MAX_JOINTS]);
             (joints[3], readings[3]) = (Some(JOINT), self.reading);
-            let step = Step { ready, goal_nm: z_nm.map(|z| [7, 8, z]), max_nm: [0, 0, 100_000] };
+            self.ms += 1;
+            let now = Duration::from_millis(self.ms);
+            let goal_nm = z_nm.map(|z| [7, 8, z]);
+            let step = Step { now, ready, goal_nm, max_nm: [0, 0, 100_000] };
             let (goals, applied) = self.offsets.step(&step, &joints, &readings);
             (self.goal, self.applied) = (goals[3], applied);
-            self.reading.now_nm = goals[3].offset_nm;
+            self.reading.now_nm += self.share * (goals[3].offset_nm - self.reading.now_nm);
             goals[3].offset_nm
         }
     }
@@ -257,11 +318,54 @@ mod tests {
     fn a_component_that_starts_again_goes_on_where_moveoff_stands() {
         let mut world = World::new();
         let left = JointGoal { offset_nm: 80_000.0, min_nm: -60_000.0, max_nm: 140_000.0 };
-        world.offsets.resume(3, left, None);
+        world.offsets.resume(3, left);
+        // Its pins are connected one after the other.
+        world.reading = JointReading::not_wired();
+        assert_eq!(world.step(true, Some(0)), 80_000.0);
+        assert!(!world.applied.at_zero && !world.applied.arrived, "nobody knows what acts");
         world.reading =
             JointReading { now_nm: 80_000.0, reference_nm: -5e6, ..JointReading::default() };
         assert_eq!(world.step(true, None), 80_000.0);
+        assert_eq!((world.goal.min_nm, world.goal.max_nm), (-60_000.0, 140_000.0));
         assert_eq!(world.applied.nm[2], 40_000.0);
         assert_eq!(world.step(true, Some(0)), 40_000.0);
+    }
+
+    #[test]
+    fn held_is_the_offset_that_acts_and_not_its_goal() {
+        for is_homing in [false, true] {
+            let mut world = World::new();
+            world.share = 0.25;
+            world.step(true, Some(40_000));
+            world.reading.homing = is_homing;
+            // A quarter of the way acts.
+            assert_eq!(world.step(is_homing, Some(40_000)), 10_000.0, "{is_homing}");
+            assert_eq!(world.step(is_homing, Some(40_000)), 10_000.0, "{is_homing}");
+            world.reading.homing = false;
+            assert_eq!(world.step(true, Some(40_000)), 40_000.0, "{is_homing}");
+        }
+    }
+
+    #[test]
+    fn an_offset_that_moveoff_does_not_move_is_not_taken() {
+        let mut world = World::new();
+        world.share = 0.0;
+        let steps = (0..3_000).find(|_| {
+            world.step(true, Some(40_000));
+            world.applied.not_taken
+        });
+        assert_eq!(steps, Some(1_000));
+        world.step(false, Some(40_000));
+        assert!(!world.applied.not_taken, "held is no way to go");
+        // Slow is not lost.
+        let mut world = World::new();
+        world.share = 1e-4;
+        assert!((0..5_000).all(|_| {
+            world.step(true, Some(40_000));
+            !world.applied.not_taken
+        }));
+        world.share = 1.0;
+        (0..3_000).for_each(|_| drop(world.step(true, Some(40_000))));
+        assert!(world.applied.arrived && !world.applied.not_taken);
     }
 }

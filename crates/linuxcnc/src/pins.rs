@@ -49,13 +49,14 @@ const NO_TOOL_SAID: i32 = -1;
 /// A count is a nanometre.
 const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
-/// Without the wire of one of these, and of an axis' four, an offset no longer does what it says.
 /// No offset is as large, in machine units.
 const MAX_LIMIT: f64 = 1e6;
+/// Without the wire of one of these, of an axis' four and of a joint's nine, an offset no longer does what it says.
 const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
 const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
-const JOINT_WIRES: [&str; 9] =
-    ["offset", "min", "max", "vel", "accel", "now", "cmd", "reference", "homing"];
+const TO_JOINT: [&str; 5] = ["offset", "min", "max", "vel", "accel"];
+/// What a joint says is not known before all of these are connected.
+const OF_JOINT: [&str; 4] = ["now", "cmd", "reference", "homing"];
 
 /// The pins of an axis.
 struct AxisPins<'hal> {
@@ -76,6 +77,7 @@ struct JointPins<'hal> {
     command: Pin<'hal, f64>,
     reference: Pin<'hal, f64>,
     homing: Pin<'hal, bool>,
+    wires: Vec<Wire>,
     /// What a component before this one has left.
     left: Option<JointGoal>,
 }
@@ -84,6 +86,12 @@ struct JointPins<'hal> {
 struct Wire {
     name: String,
     was_connected: Cell<bool>,
+}
+
+impl Wire {
+    fn new(name: String) -> Self {
+        Self { name, was_connected: Cell::new(false) }
+    }
 }
 
 /// All pins of the component. Lengths at the pins are in the units of the .ini, temperatures in °C.
@@ -174,12 +182,11 @@ impl<'hal> Pins<'hal> {
         let of_joints = joints
             .iter()
             .flatten()
-            .flat_map(|joint| JOINT_WIRES.map(|pin| format!("joint-{}-{pin}", joint.number)));
+            .flat_map(|joint| TO_JOINT.map(|pin| format!("joint-{}-{pin}", joint.number)));
         let wires = WIRES.map(String::from).into_iter().chain(of_axes).chain(of_joints);
-        let wire = |pin: String| Wire { name: full(&pin), was_connected: Cell::new(false) };
         Ok(Self {
             hal,
-            wires: wires.map(wire).collect(),
+            wires: wires.map(|pin| Wire::new(full(&pin))).collect(),
             mm_per_unit,
             enable: hal.input(&full("enable"))?,
             machine_on: hal.input(&full("machine-on"))?,
@@ -216,7 +223,7 @@ impl<'hal> Pins<'hal> {
     pub fn resume(&self, offsets: &mut JointOffsets) {
         for (index, joint) in self.joints.iter().enumerate() {
             if let Some(left) = joint.as_ref().and_then(|joint| joint.left) {
-                offsets.resume(index, left, None);
+                offsets.resume(index, left);
             }
         }
     }
@@ -231,7 +238,8 @@ impl<'hal> Pins<'hal> {
             wire.was_connected.get() && !is_connected
         };
         // Each is looked at, so that each is known once it has been there.
-        let cut: Vec<&Wire> = self.wires.iter().filter(is_cut).collect();
+        let of_joints = self.joints.iter().flatten().flat_map(|joint| &joint.wires);
+        let cut: Vec<&Wire> = self.wires.iter().chain(of_joints).filter(is_cut).collect();
         cut.first().map(|wire| wire.name.as_str())
     }
 
@@ -252,12 +260,16 @@ impl<'hal> Pins<'hal> {
                 eoffset_nm: nm(axis.eoffset.get()),
             }),
             joints: self.joints.each_ref().map(|joint| {
-                joint.as_ref().map_or_else(JointReading::default, |joint| JointReading {
+                let Some(joint) = joint else { return JointReading::default() };
+                if !joint.wires.iter().all(|wire| wire.was_connected.get()) {
+                    return JointReading::not_wired();
+                }
+                JointReading {
                     now_nm: nm(joint.now.get()),
                     command_nm: nm(joint.command.get()),
                     reference_nm: nm(joint.reference.get()),
                     homing: joint.homing.get(),
-                })
+                }
             }),
             angles_deg: self.angles.each_ref().map(Pin::get),
             spindle_rpm: self.spindle_rpm.get(),
@@ -266,7 +278,7 @@ impl<'hal> Pins<'hal> {
         }
     }
 
-    /// Returns a number that no tool can have is not sent: it would be another tool's.
+    /// Returns tool and conditions; `None` for a number that no tool can have: sent, it would be another tool's.
     fn conditions(&self) -> Option<Conditions> {
         let tool = u16::try_from(self.tool.get()).ok()?;
         let held = self.conditions.iter().rev();
@@ -347,6 +359,7 @@ fn joint_pins<'hal>(
             command: hal.input(&full("cmd"))?,
             reference: hal.input(&full("reference"))?,
             homing: hal.input(&full("homing"))?,
+            wires: OF_JOINT.map(|pin| Wire::new(full(pin))).into(),
             left,
         });
     }

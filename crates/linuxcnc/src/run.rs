@@ -227,8 +227,8 @@ impl News {
             text += "; fault";
         }
         if not_taken {
-            text += "; LinuxCNC takes no counts (are eoffset-counts, eoffset-request and eoffset-enable \
-                     connected as in trueup.hal?)";
+            text +=
+                "; LinuxCNC does not take the offsets (are all pins connected as in trueup.hal?)";
         }
         if limited {
             text +=
