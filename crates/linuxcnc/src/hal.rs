@@ -304,7 +304,8 @@ fn check(what: &'static str, code: c_int) -> Result<c_int, HalError> {
 }
 
 /// Returns whether a process runs; one that has ended and is not waited for does not.
-fn is_alive(pid: u32) -> bool {
+#[must_use]
+pub fn is_alive(pid: u32) -> bool {
     let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else { return false };
     // "pid (name) state …"; the name may contain anything.
     let state = stat.rsplit(')').next().unwrap_or_default().trim_start();

@@ -365,7 +365,9 @@ mod tests {
             !world.applied.not_taken
         }));
         world.share = 1.0;
-        (0..3_000).for_each(|_| drop(world.step(true, Some(40_000))));
+        for _ in 0..3_000 {
+            world.step(true, Some(40_000));
+        }
         assert!(world.applied.arrived && !world.applied.not_taken);
     }
 }

@@ -10,7 +10,7 @@
 //! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
 //! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::line`] keeps the
-//! connection to the bridge alive, [`record`] writes down what `trueup learn` needs of the past,
+//! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,
 //! [`run()`] is the loop.
 //!
 //! How LinuxCNC treats external offsets (`src/emc/motion/axis.c` and `control.c` of 2.9) and what
@@ -38,6 +38,7 @@ pub mod pins;
 pub mod record;
 pub mod run;
 pub mod sender;
+pub mod status;
 
 pub use component::{Component, Inputs, Options, Outputs};
 pub use record::Record;

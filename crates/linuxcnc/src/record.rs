@@ -3,8 +3,8 @@
 //!
 //! A run file as `trueup learn` reads it, with the names of the machine file: `time_s` (seconds since 1970), speed,
 //! load, positions, the bridge's temperatures, and the sensor's counts where the board runs a law of the sensor. What
-//! is not known at a row is an empty cell. No offsets stand in it: a probed point is taken from the joints, and so is
-//! the machine's own.
+//! is not known at a row is an empty cell. No offsets stand in it: with external offsets a probed point contains them.
+//! One at the joint is in no probed point, and nothing is learned from it.
 
 use std::{
     collections::VecDeque,

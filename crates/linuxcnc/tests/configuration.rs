@@ -85,12 +85,18 @@ impl Case {
     }
 
     fn set_up(&self, demand: &Demand) -> Result<(Report, Vec<Change>), BadInput> {
+        self.set_up_with(demand, "/dev/ttyUSB0", "m.toml")
+    }
+
+    fn set_up_with(
+        &self,
+        demand: &Demand,
+        port: &str,
+        machine: &str,
+    ) -> Result<(Report, Vec<Change>), BadInput> {
         let (ini, hal) = self.read();
-        let bridge = Bridge {
-            port: "/dev/ttyUSB0".into(),
-            machine: Some("m.toml".into()),
-            position_period_ms: 2,
-        };
+        let bridge =
+            Bridge { port: port.into(), machine: Some(machine.into()), position_period_ms: 2 };
         install::setup(&ini, &hal, demand, &bridge)
     }
 
@@ -275,6 +281,62 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
         ["HALFILE = machine.hal", "HALFILE = trueup_realtime.hal", "HALFILE = trueup.hal"]
     );
     assert_eq!(Installed::of(&case.read().0).map(|it| it.entry), Some(Entry::Joint));
+}
+
+/// Returns the text of a file that setup writes.
+fn written(demand: &Demand, file: &str) -> String {
+    let (_, changes) = Case::new(&whole(), HAL).set_up(demand).expect("reads");
+    let change = changes.into_iter().find(|it| name(&it.path) == file);
+    change.and_then(|it| it.text).expect("written")
+}
+
+#[test]
+fn a_record_to_learn_from_is_kept_only_where_a_probed_point_contains_the_offset() {
+    for (entry, is_kept) in [(Entry::Joint, false), (Entry::Eoffset, true)] {
+        let text = written(&Demand { entry, ..DEMAND }, "trueup.hal");
+        assert!(text.contains("--machine [TRUEUP](MACHINE)"), "{text}");
+        assert_eq!(text.contains("--record"), is_kept, "{text}");
+    }
+}
+
+#[test]
+fn watchdog_and_messages_are_those_of_the_sample() {
+    let commands = |text: &str| {
+        let lines = text.lines().map(str::trim);
+        let mut all: Vec<String> = lines
+            .filter(|line| !line.is_empty() && !line.starts_with('#'))
+            .map(|line| line.split_whitespace().collect::<Vec<_>>().join(" "))
+            .collect();
+        all.sort();
+        all
+    };
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../integrations/linuxcnc");
+    let sample: String = ["trueup_watchdog.hal", "trueup_message.hal"]
+        .map(|name| fs::read_to_string(folder.join(name)).expect("reads"))
+        .concat();
+    let ours = written(&Demand { entry: Entry::Eoffset, ..DEMAND }, "trueup_realtime.hal");
+    assert_eq!(commands(&ours), commands(&sample));
+}
+
+#[test]
+fn a_name_with_a_blank_is_refused_with_the_reason() {
+    for (port, machine, phrase) in [
+        ("/dev/my port", "m.toml", "the port \"/dev/my port\" has a blank"),
+        ("can0", "/home/a b/m.toml", "the path \"/home/a b/m.toml\" has a blank"),
+    ] {
+        let case = Case::new(&whole(), HAL);
+        let (report, changes) = case.set_up_with(&DEMAND, port, machine).expect("reads");
+        assert!(report.findings.iter().any(|it| it.what.contains(phrase)), "{report:#?}");
+        assert_eq!(changes, []);
+    }
+}
+
+#[test]
+fn a_halcmd_line_that_connects_a_joint_comes_too_late() {
+    let text = whole().replace("[HAL]\n", "[HAL]\nHALCMD = net x-pos => joint.0.motor-pos-cmd\n");
+    let report = Case::new(&text, HAL).check(&DEMAND);
+    let found = report.findings.iter().find(|it| it.what.contains("after the HAL files"));
+    assert_eq!(found.map(|it| it.place.line), Some(4), "{report:#?}");
 }
 
 #[test]

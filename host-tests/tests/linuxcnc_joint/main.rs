@@ -4,6 +4,7 @@
 //! The bridge is a program of the test, so that offsets jump when the test wants it.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+mod events;
 mod fake_bridge;
 mod stock_files;
 
@@ -18,7 +19,6 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use serde_json::json;
 use trueup_emulator::{
     linuxcnc::headless::{DISPLAY, Headless, Sampler},
     programs,
@@ -110,6 +110,9 @@ fn stock(control: LinuxCnc, ini: &str, by: &str, bridge: &FakeBridge) -> Result<
         fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", "slew_um_per_s = 1200.0");
     fs::write(path("machine.toml"), machine)?;
     fs::copy(programs::trueup()?, path("trueup"))?;
+    for name in ["trueup_probe.ngc", "trueup_touch_off.ngc"] {
+        fs::copy(setup::root().join("integrations/linuxcnc").join(name), path(name))?;
+    }
 
     let (ini, machine) = (path("stock.ini"), path("machine.toml"));
     let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
@@ -277,144 +280,14 @@ impl Seen {
     }
 }
 
-/// A reversal of 6 µm is over within 13 ms of the first cycle in which the component asks for it.
-fn reversals(rig: &mut Rig) -> Result<()> {
-    for x in [16.0, 10.0, 16.0, 10.0] {
-        rig.offsets([x, -20.0, 40.0])?;
-        let cycles: Vec<Cycle> = rig.cycles().into_iter().flatten().collect();
-        let asked = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
-        let asked = asked.context("the offset was asked for")?;
-        let there = cycles[asked..].iter().position(|it| (it.offset[0] * 1e3 - x).abs() < 0.05);
-        let took = there.context("the offset is there")?;
-        println!("reversal of 6 um: {took} ms");
-        assert!(took <= 13, "{took} ms");
-    }
-    Ok(())
-}
-
-/// A program has all of its acceleration.
-fn programs(rig: &mut Rig) -> Result<()> {
-    // Exact stops: where moves are blended, LinuxCNC gives each half of the acceleration.
-    rig.mdi("G61")?;
-    rig.mdi("G53 G0 X20 Y20 Z-1")?;
-    let seen = rig.check("rapid moves")?;
-    assert!(seen.planner_acceleration >= 0.99 * MAX_ACCELERATION, "{seen:?}");
-    Ok(())
-}
-
-/// An abort stops the program and not the offsets.
-fn aborts(rig: &mut Rig) -> Result<()> {
-    for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
-        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
-        rig.bridge.say(um);
-        thread::sleep(Duration::from_millis(400));
-        rig.cnc.ask(&json!({"do": "abort"}))?;
-        rig.applied(um)?;
-        rig.check("abort")?;
-        rig.mdi("G53 G0 X20 Y20")?;
-    }
-    Ok(())
-}
-
-/// The offset is held while the machine is off, and goes on from there.
-fn power(rig: &mut Rig) -> Result<()> {
-    for state in ["estop", "off"] {
-        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
-        thread::sleep(Duration::from_millis(300));
-        rig.cnc.act("state", "name", state)?;
-        let held = rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
-        rig.bridge.say([-30.0, 0.0, 0.0]);
-        thread::sleep(Duration::from_millis(300));
-        assert_eq!(
-            held,
-            rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?
-        );
-        assert!((held[0] - 0.01).abs() < 1e-6 && (held[1] - 0.04).abs() < 1e-6, "{held:?}");
-        rig.cnc.switch_on()?;
-        rig.applied([-30.0, 0.0, 0.0])?;
-        rig.offsets([10.0, -20.0, 40.0])?;
-        rig.check(state)?;
-        rig.mdi("G53 G0 X20 Y20")?;
-    }
-    Ok(())
-}
-
-/// A joint that is homed again with an offset finds the same place.
-fn homing(rig: &mut Rig) -> Result<()> {
-    rig.mdi("G53 G0 X-10 Y0")?;
-    rig.cycles();
-    let drive = rig.cnc.pin("trueup-j0.out")?;
-    rig.bridge.say([10.0, -20.0, 40.0]);
-    rig.cnc.act("home", "joint", 0)?;
-    rig.cnc.act("teleop", "on", true)?;
-    rig.applied([10.0, -20.0, 40.0])?;
-    rig.mdi("G53 G0 X-10 Y0")?;
-    let again = rig.cnc.pin("trueup-j0.out")?;
-    println!("homed again: the drive is {:.3} um off", (again - drive) * 1e3);
-    // The switch is left at 0.1 mm/s, and seen in a servo cycle.
-    assert!((again - drive).abs() < 0.3e-3, "{again} {drive}");
-    rig.check("homing")?;
-    Ok(())
-}
-
-/// At the soft limit the drive does not stay beyond.
-fn soft_limit(rig: &mut Rig) -> Result<()> {
-    rig.offsets([50.0, -20.0, 40.0])?;
-    rig.cnc.ask(&json!({"do": "jog", "axis": 0, "speed": 20.0}))?;
-    rig.cnc.wait(
-        "the offset stands back",
-        5,
-        &["trueup.0.limited", "joint.0.pos-cmd", "trueup-mv.offset-current-0"],
-        |seen| seen[0] == 1.0 && (seen[1] - 50.0).abs() < 1e-6,
-    )?;
-    thread::sleep(Duration::from_millis(200));
-    let seen = rig.cnc.pins(&["trueup-j0.out", "joint.0.motor-offset", "joint.0.pos-cmd"])?;
-    println!("at the soft limit: {seen:?}");
-    assert!(seen[0] <= 50.0 + 1e-6, "{seen:?}");
-    rig.check("soft limit")?;
-    rig.mdi("G53 G0 X0")?;
-    rig.applied([50.0, -20.0, 40.0])?;
-    Ok(())
-}
-
-/// A probed point is that of the planner: 30 µm more of offset, 30 µm less of position.
-fn probing(rig: &mut Rig) -> Result<()> {
-    let mut probed = Vec::new();
-    for z in [40.0, 70.0] {
-        rig.offsets([50.0, -20.0, z])?;
-        rig.mdi(&format!("G53 G0 Z{}", SURFACE + 0.2))?;
-        rig.mdi("G38.2 Z-6 F6")?;
-        let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
-        probed.push(stat["probed"][2].as_f64().context("a position")?);
-        rig.mdi("G53 G0 Z0")?;
-    }
-    println!("probed: {probed:?}");
-    // 0.1 mm/s and a servo cycle.
-    assert!((probed[0] - probed[1] - 0.03).abs() <= 0.11e-3, "{probed:?}");
-    assert!((probed[0] + 0.04 - SURFACE).abs() <= 0.21e-3, "{probed:?}");
-    rig.check("probing")?;
-    Ok(())
-}
-
-/// A bridge that falls silent is held, then taken back by the limits.
-fn silence(rig: &mut Rig) -> Result<()> {
-    rig.bridge.silence(true);
-    rig.cnc.wait("taken back", 20, &["trueup.0.fault", "trueup-mv.offset-current-2"], |seen| {
-        seen[0] == 1.0 && seen[1].abs() < 1e-6
-    })?;
-    rig.bridge.silence(false);
-    rig.applied([50.0, -20.0, 70.0])?;
-    rig.check("silence")?;
-    Ok(())
-}
-
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
     let Some(mut rig) = Rig::start()? else { return Ok(()) };
     rig.offsets([10.0, -20.0, 40.0])?;
     rig.check("start")?;
-    for event in [reversals, programs, aborts, power, homing, soft_limit, probing, silence] {
+    use events::*;
+    for event in [reversals, programs, aborts, power, homing, ended, soft_limit, probing, silence] {
         event(&mut rig)?;
     }
     rig.cnc.end()

@@ -16,7 +16,10 @@ use trueup_linuxcnc::configuration::{
     installed::{self, Bridge, Installed},
     joints,
 };
-use trueup_linuxcnc::joint::{JointSettings, MAX_JOINTS};
+use trueup_linuxcnc::{
+    joint::{JointSettings, MAX_JOINTS},
+    status,
+};
 use trueup_machine::{Machine, check::Warning};
 
 use super::running;
@@ -337,7 +340,7 @@ fn status(args: &Status, as_json: bool) -> Result<Outcome> {
     match &now {
         None => lines.push("LinuxCNC does not run".into()),
         Some(pins) => {
-            let (text, is_live) = running::in_words(pins);
+            let (text, is_live) = status::in_words(pins);
             lines.push(text);
             is_well &= is_live;
         }

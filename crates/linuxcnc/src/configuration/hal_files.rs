@@ -37,9 +37,9 @@ pub struct Link {
 /// All HAL commands of a configuration but those of setup.
 #[derive(Clone, Debug, Default)]
 pub struct HalFiles {
-    /// Commands before LinuxCNC starts, in their order.
+    /// Commands of the HAL files, in their order.
     pub commands: Vec<HalCommand>,
-    /// Commands after the screen has come (`POSTGUI_HALFILE`).
+    /// Commands after all HAL files: `HALCMD` lines, and those after the screen has come (`POSTGUI_HALFILE`).
     pub late: Vec<HalCommand>,
     /// The last `HALFILE` line that is the user's.
     pub last_line: Option<Location>,
@@ -72,7 +72,7 @@ impl HalFiles {
             read_into(&mut all.commands, ini, &path, 0)?;
         }
         for value in users("HALCMD") {
-            all.commands.extend(command(ini, &value.text, &value.place));
+            all.late.extend(command(ini, &value.text, &value.place));
         }
         for value in users("POSTGUI_HALFILE") {
             let name = value.text.split_whitespace().next().unwrap_or_default();
@@ -84,19 +84,19 @@ impl HalFiles {
         Ok(all)
     }
 
-    /// Returns the signal that a pin is on before the screen comes.
+    /// Returns the signal that a pin is on after the HAL files.
     #[must_use]
     pub fn link(&self, pin: &str) -> Option<Link> {
         links(&self.commands).remove(pin)
     }
 
-    /// Returns the signal that a pin is on, now or after the screen has come.
+    /// Returns the signal that a pin is on after the HAL files or after what comes later.
     #[must_use]
     pub fn link_at_last(&self, pin: &str) -> Option<Link> {
         self.link(pin).or_else(|| links(&self.late).remove(pin))
     }
 
-    /// Returns the line that names a pin after the screen has come.
+    /// Returns the line that names a pin after the HAL files.
     #[must_use]
     pub fn late_use(&self, pin: &str) -> Option<Location> {
         let names = |command: &&HalCommand| command.words.iter().skip(1).any(|word| word == pin);
@@ -296,7 +296,10 @@ pub(crate) mod tests {
         for (pin, signal) in expected {
             assert_eq!(on(pin).as_deref(), signal, "{pin}");
         }
-        assert_eq!(on("p10").as_deref(), Some("c"));
+        // A HALCMD line runs after all HAL files, and so after those of setup.
+        assert_eq!(on("p10"), None);
+        assert_eq!(hal.link_at_last("p10").map(|it| it.signal).as_deref(), Some("c"));
+        assert_eq!(hal.late_use("p10").map(|it| it.line), Some(3));
         assert_eq!(hal.link("p2").expect("linked").place.line, 1);
         assert!(on("p9").is_some(), "a sourced file counts");
     }

@@ -54,6 +54,15 @@ pub fn setup(
             "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
         ));
     }
+    for (what, text) in [("port", Some(&bridge.port)), ("path", bridge.machine.as_ref())] {
+        if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
+            report.findings.push(Finding::error(
+                Location::start_of(ini.path()),
+                format!("the {what} \"{text}\" has a blank, at which a HAL file would cut it"),
+                "use one without blanks: rename it, or make a link to it",
+            ));
+        }
+    }
     for name in [REALTIME, COMPONENT] {
         let path = ini.folder().join(name);
         if is_file(&path) && !is_written_by_setup(&path)? {

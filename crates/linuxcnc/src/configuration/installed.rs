@@ -59,12 +59,36 @@ pub fn by_hand(ini: &IniLines, hal: &HalFiles) -> Option<(Location, Entry)> {
                 .any(|two| two[0].ends_with("trueup") && two[1] == "linuxcnc")
     };
     let entry = |command: &HalCommand| {
-        let by = command.words.windows(2).find(|two| two[0] == "--by");
-        by.and_then(|two| Entry::parse(&two[1])).unwrap_or_default()
+        let next = |two: &[String]| (two[0] == "--by").then(|| two[1].clone());
+        let joined = |word: &String| word.strip_prefix("--by=").map(String::from);
+        let by = command.words.windows(2).find_map(next);
+        let by = by.or_else(|| command.words.iter().find_map(joined));
+        by.and_then(|by| Entry::parse(&by)).unwrap_or_default()
     };
     let command = hal.commands.iter().chain(&hal.late).find(is_component);
     let value = || ini.value(SECTION, "PORT").filter(|value| !value.is_ours);
     command
         .map(|it| (it.place.clone(), entry(it)))
         .or_else(|| value().map(|value| (value.place, Entry::default())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::hal_files::tests::configuration, *};
+
+    #[test]
+    fn both_ways_to_write_an_option_say_where_offsets_enter_by_hand() {
+        for (option, entry) in [
+            ("--by joint", Entry::Joint),
+            ("--by=joint", Entry::Joint),
+            ("--by=eoffset", Entry::Eoffset),
+            ("", Entry::Eoffset),
+        ] {
+            let hal = format!("loadusr -W /opt/trueup linuxcnc {option} --port x\n");
+            let (_folder, ini, hal) =
+                configuration(&[("m.ini", "[HAL]\nHALFILE = m.hal\n"), ("m.hal", &hal)]);
+            let found = by_hand(&ini, &hal.expect("reads"));
+            assert_eq!(found.map(|it| it.1), Some(entry), "{option}");
+        }
+    }
 }

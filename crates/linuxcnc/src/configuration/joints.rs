@@ -130,7 +130,7 @@ pub fn joints(ini: &IniLines) -> Result<Vec<Joint>, BadInput> {
 /// Returns how the component moves the joints, by the channels of `moveoff`.
 ///
 /// # Errors
-/// As [`joints`].
+/// As [`joints`], and a joint whose drive leaves nothing for an offset.
 pub fn settings(
     ini: &IniLines,
     mm_per_unit: f64,
@@ -139,6 +139,17 @@ pub fn settings(
     let mut all = [None; MAX_JOINTS];
     for (settings, joint) in all.iter_mut().zip(joints(ini)?) {
         let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
+        let mm_per_s = joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit);
+        let mm_per_s2 = joint.acceleration.left() * mm_per_unit;
+        if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
+            let rule = format!(
+                "joint {}: nothing is left for an offset ({mm_per_s} mm/s, {mm_per_s2} mm/s²)",
+                joint.number
+            );
+            return Err(BadInput::new(joint.place, rule).with_help(
+                "state STEPGEN_MAXVEL and STEPGEN_MAXACCEL above MAX_VELOCITY and MAX_ACCELERATION; `trueup linuxcnc check` says more",
+            ));
+        }
         *settings = Some(JointSettings {
             number: joint.number,
             axis: joint.axis,
@@ -146,8 +157,8 @@ pub fn settings(
                 joint.limits[0].map_or(f64::NEG_INFINITY, nm),
                 joint.limits[1].map_or(f64::INFINITY, nm),
             ],
-            mm_per_s: joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit),
-            mm_per_s2: joint.acceleration.left() * mm_per_unit,
+            mm_per_s,
+            mm_per_s2,
         });
     }
     Ok(all)
@@ -273,6 +284,20 @@ mod tests {
         assert!((joints[1].velocity.left() - 1.0).abs() < 1e-9 && joints[0].velocity.left() == 6.0);
         assert!(joints[2].acceleration.share() < 0.0);
         assert_eq!(joints[1].offset_mm_per_s(0.5, 25.4), 0.5);
+    }
+
+    #[test]
+    fn a_joint_that_can_never_follow_is_refused_with_its_line() {
+        for (drive, line) in
+            [("STEPGEN_MAXACCEL = 1000", Some(6)), ("STEPGEN_MAXVEL = 30", Some(5)), ("", None)]
+        {
+            let text = format!(
+                "[KINS]\nKINEMATICS = trivkins\nJOINTS = 1\n[JOINT_0]\nMAX_ACCELERATION = 1000\n{drive}\nMAX_VELOCITY = 30\n"
+            );
+            let settings = settings(&configuration(&[("m.ini", &text)]).1, 1.0, 0.5);
+            let error = settings.err();
+            assert_eq!(error.as_ref().map(|it| it.place.line), line, "{drive}: {error:?}");
+        }
     }
 
     #[test]

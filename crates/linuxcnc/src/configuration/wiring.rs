@@ -47,13 +47,13 @@ const MESSAGES: [(&str, &str, &str, bool); 4] = [
     (
         "trueup-no-offsets",
         "trueup-fault",
-        "trueup: no offsets (bridge silent or its inputs failed)",
+        "trueup: no offsets (bridge silent or its inputs failed or LinuxCNC does not take them)",
         true,
     ),
     (
         "trueup-not-followed",
         "trueup-limited",
-        "trueup: an axis cannot follow its offset (soft limit or joint mode)",
+        "trueup: an axis cannot follow its offset (soft limit or joint mode or no OFFSET_AV_RATIO)",
         true,
     ),
     (
@@ -143,7 +143,7 @@ impl Writer<'_> {
             self.findings.push(Finding::error(
                 place,
                 "the servo thread cannot be followed: no `addf motion-controller THREAD`, or a position beyond its functions",
-                "connect the offsets by hand (integrations/linuxcnc/README.md)",
+                "connect the offsets by hand (docs/book/src/linuxcnc.md)",
             ));
             ("servo-thread".into(), vec!["motion-command-handler".into(), CONTROLLER.into()])
         });
@@ -227,7 +227,9 @@ impl Writer<'_> {
         if let Some(place) = self.hal.late_use(&pin) {
             self.findings.push(Finding::error(
                 place,
-                format!("{pin} is connected after the screen has come, and belongs to the offset by then"),
+                format!(
+                    "{pin} is connected after the HAL files, and belongs to the offset by then"
+                ),
                 "connect it in a HALFILE",
             ));
         }
@@ -317,7 +319,11 @@ impl Writer<'_> {
     fn component(&mut self, joints: &[Joint], demand: &Demand) -> String {
         let entry = demand.entry;
         let machine = match demand.corrects_screw {
-            Some(_) => " --machine [TRUEUP](MACHINE) --record trueup_record.csv",
+            // A probed point contains an external offset, and none at the joint: nothing can be learned from it there.
+            Some(_) if entry == Entry::Eoffset => {
+                " --machine [TRUEUP](MACHINE) --record trueup_record.csv"
+            }
+            Some(_) => " --machine [TRUEUP](MACHINE)",
             None => "",
         };
         let mut text = format!(

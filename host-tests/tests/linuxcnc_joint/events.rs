@@ -1,0 +1,223 @@
+//! What happens to a LinuxCNC with offsets at its joints, one event after the other.
+
+use std::{
+    collections::BTreeMap,
+    process::Command,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use serde_json::json;
+use trueup_linuxcnc::{
+    hal::is_alive,
+    status::{in_words, parse},
+};
+
+use super::{CYCLE_S, Cycle, MAX_ACCELERATION, NOISE, Rig, SURFACE};
+
+/// A reversal of 6 µm is over within 13 ms of the first cycle in which the component asks for it.
+pub(crate) fn reversals(rig: &mut Rig) -> Result<()> {
+    for x in [16.0, 10.0, 16.0, 10.0] {
+        rig.offsets([x, -20.0, 40.0])?;
+        let cycles: Vec<Cycle> = rig.cycles().into_iter().flatten().collect();
+        let asked = cycles.windows(2).position(|two| (two[1].goal - two[0].goal).abs() > 0.005);
+        let asked = asked.context("the offset was asked for")?;
+        let there = cycles[asked..].iter().position(|it| (it.offset[0] * 1e3 - x).abs() < 0.05);
+        let took = there.context("the offset is there")?;
+        println!("reversal of 6 um: {took} ms");
+        assert!(took <= 13, "{took} ms");
+    }
+    Ok(())
+}
+
+/// A program has all of its acceleration.
+pub(crate) fn programs(rig: &mut Rig) -> Result<()> {
+    // Exact stops: where moves are blended, LinuxCNC gives each half of the acceleration.
+    rig.mdi("G61")?;
+    rig.mdi("G53 G0 X20 Y20 Z-1")?;
+    let seen = rig.check("rapid moves")?;
+    assert!(seen.planner_acceleration >= 0.99 * MAX_ACCELERATION, "{seen:?}");
+    Ok(())
+}
+
+/// An abort stops the program and not the offsets.
+pub(crate) fn aborts(rig: &mut Rig) -> Result<()> {
+    for um in [[60.0, 0.0, -40.0], [10.0, -20.0, 40.0]] {
+        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        rig.bridge.say(um);
+        thread::sleep(Duration::from_millis(400));
+        rig.cnc.ask(&json!({"do": "abort"}))?;
+        rig.applied(um)?;
+        rig.check("abort")?;
+        rig.mdi("G53 G0 X20 Y20")?;
+    }
+    Ok(())
+}
+
+/// The offset is held while the machine is off, and goes on from there.
+pub(crate) fn power(rig: &mut Rig) -> Result<()> {
+    for state in ["estop", "off"] {
+        rig.cnc.act("begin_mdi", "text", "G53 G1 F1500 X-20 Y-20")?;
+        thread::sleep(Duration::from_millis(300));
+        rig.cnc.act("state", "name", state)?;
+        let held = rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?;
+        rig.bridge.say([-30.0, 0.0, 0.0]);
+        thread::sleep(Duration::from_millis(300));
+        assert_eq!(
+            held,
+            rig.cnc.pins(&["trueup-mv.offset-current-0", "trueup-mv.offset-current-2"])?
+        );
+        assert!((held[0] - 0.01).abs() < 1e-6 && (held[1] - 0.04).abs() < 1e-6, "{held:?}");
+        rig.cnc.switch_on()?;
+        rig.applied([-30.0, 0.0, 0.0])?;
+        rig.offsets([10.0, -20.0, 40.0])?;
+        rig.check(state)?;
+        rig.mdi("G53 G0 X20 Y20")?;
+    }
+    Ok(())
+}
+
+/// A joint that is homed again with an offset finds the same place.
+pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
+    rig.mdi("G53 G0 X-10 Y0")?;
+    rig.cycles();
+    let drive = rig.cnc.pin("trueup-j0.out")?;
+    // The goal is said so shortly before that the offset is still on its way: held is what acts.
+    rig.bridge.say([190.0, -20.0, 40.0]);
+    rig.cnc.act("home", "joint", 0)?;
+    rig.bridge.say([10.0, -20.0, 40.0]);
+    rig.cnc.act("teleop", "on", true)?;
+    rig.applied([10.0, -20.0, 40.0])?;
+    rig.mdi("G53 G0 X-10 Y0")?;
+    let again = rig.cnc.pin("trueup-j0.out")?;
+    println!("homed again: the drive is {:.3} um off", (again - drive) * 1e3);
+    // The switch is left at 0.1 mm/s, and seen in a servo cycle.
+    assert!((again - drive).abs() < 0.3e-3, "{again} {drive}");
+    rig.check("homing")?;
+    Ok(())
+}
+
+/// A component that has ended is loaded again while an offset with a base acts: nothing moves, whatever it was told
+/// last. While it is gone, killed or ended, the offset is held.
+pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
+    let names = ["trueup-mv.offset-current-0", "trueup-mv.offset-current-2", "trueup-j0.out"];
+    let base = rig.cnc.pin(names[0])? - 0.01;
+    assert!(base.abs() > 5e-3, "homed with an offset: {base}");
+    for signal in ["TERM", "KILL"] {
+        let before = rig.cnc.pins(&names)?;
+        let pid = component(rig)?;
+        let done = Command::new("kill").args(["-s", signal, &pid.to_string()]).status()?;
+        ensure!(done.success(), "kill -s {signal} {pid}");
+        let end = Instant::now() + Duration::from_secs(10);
+        while is_alive(pid) {
+            ensure!(Instant::now() < end, "it does not end by {signal}");
+            thread::sleep(Duration::from_millis(10));
+        }
+        rig.cnc.wait("the feed is held", 5, &["motion.feed-inhibit"], |seen| seen[0] == 1.0)?;
+        if signal == "KILL" {
+            let (said, is_live) = in_words(&shown(rig)?);
+            ensure!(!is_live && said.contains("killed"), "{said}");
+        }
+        let near =
+            |seen: &[f64]| seen.iter().zip(&before).all(|(one, two)| (one - two).abs() < 1e-6);
+        let gone = rig.cnc.pins(&names)?;
+        assert!(near(&gone), "{signal}, gone: {before:?} {gone:?}");
+        let ini = rig.cnc.folder().join("stock.ini");
+        let hal = rig.cnc.folder().join("trueup.hal");
+        rig.cnc.halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
+            // The wires of one that was killed are still there.
+            if signal == "KILL" { Ok(String::new()) } else { Err(error) }
+        })?;
+        rig.cnc.wait("it beats", 10, &["motion.feed-inhibit"], |seen| seen[0] == 0.0)?;
+        rig.applied([10.0, -20.0, 40.0])?;
+        let again = rig.cnc.pins(&names)?;
+        println!("{signal}, loaded again: {before:?} {again:?}");
+        assert!(near(&again), "{signal}, loaded again: {before:?} {again:?}");
+        let (said, is_live) = in_words(&shown(rig)?);
+        ensure!(is_live, "{said}");
+        let seen = rig.check(signal)?;
+        assert!(seen.offset_speed <= NOISE / CYCLE_S, "{signal}: the offset moved: {seen:?}");
+    }
+    Ok(())
+}
+
+/// Returns the pins as `trueup linuxcnc status` reads them.
+fn shown(rig: &mut Rig) -> Result<BTreeMap<String, String>> {
+    Ok(parse(&rig.cnc.halcmd("-s show pin trueup.0.")?))
+}
+
+/// Returns the process of the component.
+fn component(rig: &mut Rig) -> Result<u32> {
+    Ok(rig.cnc.pin("trueup.0.pid")? as u32)
+}
+
+/// At the soft limit the drive does not stay beyond.
+pub(crate) fn soft_limit(rig: &mut Rig) -> Result<()> {
+    rig.offsets([50.0, -20.0, 40.0])?;
+    rig.cnc.ask(&json!({"do": "jog", "axis": 0, "speed": 20.0}))?;
+    rig.cnc.wait(
+        "the offset stands back",
+        5,
+        &["trueup.0.limited", "joint.0.pos-cmd", "trueup-mv.offset-current-0"],
+        |seen| seen[0] == 1.0 && (seen[1] - 50.0).abs() < 1e-6,
+    )?;
+    thread::sleep(Duration::from_millis(200));
+    let seen = rig.cnc.pins(&["trueup-j0.out", "joint.0.motor-offset", "joint.0.pos-cmd"])?;
+    println!("at the soft limit: {seen:?}");
+    assert!(seen[0] <= 50.0 + 1e-6, "{seen:?}");
+    rig.check("soft limit")?;
+    rig.mdi("G53 G0 X0")?;
+    rig.applied([50.0, -20.0, 40.0])?;
+    Ok(())
+}
+
+/// A probed point is that of the planner: 30 µm more of offset, 30 µm less of position.
+pub(crate) fn probing(rig: &mut Rig) -> Result<()> {
+    let mut probed = Vec::new();
+    for z in [40.0, 70.0] {
+        rig.offsets([50.0, -20.0, z])?;
+        rig.mdi(&format!("G53 G0 Z{}", SURFACE + 0.2))?;
+        rig.mdi("G38.2 Z-6 F6")?;
+        let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
+        probed.push(stat["probed"][2].as_f64().context("a position")?);
+        rig.mdi("G53 G0 Z0")?;
+    }
+    println!("probed: {probed:?}");
+    // 0.1 mm/s and a servo cycle.
+    assert!((probed[0] - probed[1] - 0.03).abs() <= 0.11e-3, "{probed:?}");
+    assert!((probed[0] + 0.04 - SURFACE).abs() <= 0.21e-3, "{probed:?}");
+    rig.check("probing")?;
+    macros(rig)
+}
+
+/// A probed point lacks the offset: nothing is learned from it, and a touch-off takes nothing off it.
+fn macros(rig: &mut Rig) -> Result<()> {
+    let before = rig.cnc.pin("axis.z.pos-cmd")?;
+    rig.cnc.ask(&json!({"do": "stat"}))?;
+    rig.mdi(&format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;
+    let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+    ensure!(said.contains("the offset enters at the joint"), "{said}");
+    let after = rig.cnc.pin("axis.z.pos-cmd")?;
+    assert!((before - after).abs() < 1e-6, "it does not move: {before} {after}");
+    rig.mdi("o<trueup_touch_off> call [6] [60]")?;
+    let stat = rig.cnc.ask(&json!({"do": "stat"}))?;
+    let work = stat["g5x"][2].as_f64().context("a work offset")?;
+    println!("touched off: {work:.5}");
+    // The planner meets the surface with 70 um of offset; 1 mm/s and a servo cycle.
+    assert!((work + 0.07 - SURFACE).abs() <= 1.5e-3, "{work}: {}", stat["said"]);
+    rig.mdi("G10 L2 P1 Z0")?;
+    Ok(())
+}
+
+/// A bridge that falls silent is held, then taken back by the limits.
+pub(crate) fn silence(rig: &mut Rig) -> Result<()> {
+    rig.bridge.silence(true);
+    rig.cnc.wait("taken back", 20, &["trueup.0.fault", "trueup-mv.offset-current-2"], |seen| {
+        seen[0] == 1.0 && seen[1].abs() < 1e-6
+    })?;
+    rig.bridge.silence(false);
+    rig.applied([50.0, -20.0, 70.0])?;
+    rig.check("silence")?;
+    Ok(())
+}
