@@ -413,7 +413,7 @@ mod tests {
             ("Nr.", "Nothing"),
             ("Pos-Nr.", "Nothing"),
             ("Punkt Nr.", "Nothing"),
-            ("Messung Nr.", "Nothing"),
+            ("Messpunkt Nr.", "Nothing"),
             ("lfd. Nr.", "Nothing"),
             ("Lauf-Nr.", "run"),
             ("Run No", "run"),

@@ -41,7 +41,7 @@ pub(crate) const SENSOR: &str =
 pub(crate) const NUMBER: &str = "nr no num number nummer";
 /// Words with which a number counts the rows.
 pub(crate) const ROW: &str =
-    "mess messung messpunkt satz datensatz block line record eintrag entry ligne linea riga fila";
+    "mess messpunkt satz datensatz block line record eintrag entry ligne linea riga fila";
 /// No quantity of a run.
 pub(crate) const NOTHING: &str = "lfd index idx bemerkung bemerkungen kommentar comment comments remark \
     remarks note notes notiz pruefer operator remarque row zeile sample punkt point id";
