@@ -174,7 +174,7 @@ impl Converter {
         self.reading
     }
 
-    /// Returns one turn, of at most two selections of 9 bytes together 11.
+    /// Takes one turn, of at most two selections of 9 bytes together 11.
     ///
     /// The last good reading, or the last fault, stands while the cables are checked: four turns.
     pub fn turn(&mut self, spi: &mut impl SpiDevice) -> Reading {
