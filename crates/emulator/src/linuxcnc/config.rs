@@ -30,6 +30,9 @@ const STAIRS_FEED: f64 = 30_000.0;
 const FIVE_AXES_FEED: f64 = 4_000.0;
 /// How long a program waits until an offset has settled.
 const DWELL_S: f64 = 0.3;
+/// How long it stands at each height of the staircase. LinuxCNC's interpreter ends a dwell by the wall's clock,
+/// so where the computer keeps the servo thread waiting, that many cycles are missing from the dwell.
+const STAIR_DWELL_S: f64 = 1.0;
 /// The spindle's speed in r/min.
 pub const SPINDLE_RPM: f64 = 24_000.0;
 
@@ -247,7 +250,7 @@ M68 E1 Q{stairs}
     let down = STAIRS_MM.iter().rev();
     let turn = [STAIRS_MM[STAIRS_MM.len() - 1] + 40.0];
     for z_mm in STAIRS_MM.iter().chain(&turn).chain(down) {
-        let _ = write!(text, "G1 Z{z_mm} F{}\nG4 P{}\n", STAIRS_FEED / slow, DWELL_S * slow);
+        let _ = write!(text, "G1 Z{z_mm} F{}\nG4 P{}\n", STAIRS_FEED / slow, STAIR_DWELL_S * slow);
     }
     text + "M68 E1 Q0\nM2\n"
 }

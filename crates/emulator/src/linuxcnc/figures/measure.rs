@@ -107,7 +107,11 @@ pub(super) fn stairs(before: &[&Cycle], after: &[&Cycle]) -> Result<Vec<Stair>> 
     let both = [dwells(before), dwells(after)];
     let found = |dwells: &[(f64, bool, f64)], z_mm: f64, up: bool| -> Result<f64> {
         let here = |it: &&(f64, bool, f64)| (it.0 - z_mm).abs() < 0.01 && it.1 == up;
-        dwells.iter().find(here).map(|it| it.2).with_context(|| format!("no dwell at {z_mm} mm"))
+        dwells.iter().find(here).map(|it| it.2).with_context(|| {
+            let way = if up { "up" } else { "down" };
+            let all: Vec<f64> = dwells.iter().map(|it| it.0).collect();
+            format!("no dwell at {z_mm} mm on the way {way}; there are dwells at {all:?}")
+        })
     };
     let at = |z_mm: f64| -> Result<Stair> {
         let pair = |dwells: &[_]| Ok([found(dwells, z_mm, true)?, found(dwells, z_mm, false)?]);
