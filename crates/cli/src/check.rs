@@ -62,7 +62,10 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
             of_machine(path, &machine, as_json)?
         } else {
             let (run, mut reported) = trusted(runs::read(path)?, beside.as_ref());
-            refused.extend(check::refusal(&check::slips(&run, beside.as_ref()), files::accepted()));
+            refused.extend(check::refusal(
+                &check::slips(&run, beside.as_ref(), &[]),
+                files::accepted(),
+            ));
             let (warnings, summary) = of_run(path, &run, beside.as_ref(), as_json)?;
             report::remarks(&check::remarks(&run));
             reported.extend(warnings);

@@ -14,7 +14,7 @@ use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trueup_diagnose::{Diagnosis, Gauge, MISSING_INPUTS, Options, Verdict, diagnose_for};
 use trueup_machine::{
-    BadInput, Machine, MachineFile, RunFile,
+    BadInput, Machine, MachineFile,
     compile::{check_slopes, compile},
     file,
 };
@@ -117,11 +117,10 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     let source = MachineFile::read_text(&args.machine)?;
     let mut machine = files::parsed(&source, &args.machine)?;
     machine.instrument_um = args.instrument_um.or(machine.instrument_um);
-    let read = |paths: &[PathBuf]| -> Result<Vec<RunFile>> {
-        paths.iter().map(|path| Ok(files::run_of_known_names(path, &machine)?)).collect()
-    };
-    let (mut runs, holdout) = (read(&args.runs)?, read(&args.holdout)?);
-    runs.extend(read(&args.off)?);
+    // All at once: what a column is, is seen by them together.
+    let paths = [&*args.runs, &*args.off, &*args.holdout].concat();
+    let mut runs = files::runs_of_known_names(&paths, &machine)?;
+    let holdout = runs.split_off(args.runs.len() + args.off.len());
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 

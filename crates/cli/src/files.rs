@@ -1,7 +1,10 @@
 //! Machine files and runs as every command reads them: what is unlikely in them is said, what is impossible
 //! is refused unless the user accepts it (`--accept KEY`).
 
-use std::{path::Path, sync::OnceLock};
+use std::{
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile, bounded,
@@ -78,12 +81,14 @@ pub fn run(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> 
     usable(runs::read(path)?, machine)
 }
 
-/// Reads a run file for a command that finds constants from it: a column that is unlikely in the unit of its name,
-/// or a clock that was set, is refused too, since a constant found from it is wrong.
-pub fn run_to_fit(path: &Path, machine: Option<&Machine>) -> Result<RunFile, BadInput> {
-    let run = runs::read(path)?;
-    refuse_slips(&without_fault_values(run.clone()).0, machine)?;
-    usable(run, machine)
+/// Reads run files for a command that finds constants from them: a column that is unlikely in the unit of its name,
+/// or a clock that was set, is refused too, since a constant found from it is wrong. Each run is judged next to the others.
+pub fn runs_to_fit(paths: &[PathBuf], machine: Option<&Machine>) -> Result<Vec<RunFile>, BadInput> {
+    let read: Vec<RunFile> = paths.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?;
+    for run in &read {
+        refuse_slips(&without_fault_values(run.clone()).0, machine, &read)?;
+    }
+    read.into_iter().map(|run| usable(run, machine)).collect()
 }
 
 /// Says what is unlikely in `run`, and gives it without fault values of thermometers and with the directions
@@ -110,27 +115,37 @@ fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile,
 }
 
 fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    check::refusal(&check::slips(run, machine), accepted()).map_or(Ok(()), Err)
+    check::refusal(&check::slips(run, machine, &[]), accepted()).map_or(Ok(()), Err)
 }
 
-fn refuse_slips(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    let found = check::slips(run, machine).into_iter();
+fn refuse_slips(
+    run: &RunFile,
+    machine: Option<&Machine>,
+    others: &[RunFile],
+) -> Result<(), BadInput> {
+    let found = check::slips(run, machine, others).into_iter();
     let refused: Vec<Finding> =
         found.map(|finding| Finding { grade: Grade::Impossible, ..finding }).collect();
     check::refusal(&refused, accepted()).map_or(Ok(()), Err)
 }
 
-/// Reads a run file as [`run_to_fit`] does, for a command that looks after the names of the columns and the faults of
+/// Reads run files as [`runs_to_fit`] does, for a command that looks after the names of the columns and the faults of
 /// thermometers itself.
-pub fn run_of_known_names(path: &Path, machine: &Machine) -> Result<RunFile, BadInput> {
-    let run = with_tool_numbers(runs::read(path)?, Some(machine))?;
-    let (run, reported) = with_directions(run, Some(machine));
-    report::in_short(path, &reported);
-    let (sound, _) = without_fault_values(run.clone());
-    refuse_slips(&sound, Some(machine))?;
-    report::in_short(path, &check::values(&sound, Some(machine)));
-    report::remarks(&check::remarks(&sound));
-    Ok(run)
+pub fn runs_of_known_names(paths: &[PathBuf], machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
+    let read = |path: &PathBuf| {
+        let run = with_tool_numbers(runs::read(path)?, Some(machine))?;
+        let (run, reported) = with_directions(run, Some(machine));
+        report::in_short(path, &reported);
+        Ok(run)
+    };
+    let read: Vec<RunFile> = paths.iter().map(read).collect::<Result<_, BadInput>>()?;
+    for (run, path) in read.iter().zip(paths) {
+        let (sound, _) = without_fault_values(run.clone());
+        refuse_slips(&sound, Some(machine), &read)?;
+        report::in_short(path, &check::values(&sound, Some(machine), &read));
+        report::remarks(&check::remarks(&sound));
+    }
+    Ok(read)
 }
 
 /// Reads a file of at most this many bytes: a device named by mistake has no end.

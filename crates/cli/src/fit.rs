@@ -17,7 +17,7 @@ use trueup_fit::{
     pitch, straightness, thermal, warmup,
 };
 use trueup_machine::{
-    BadInput, Location, Machine, MachineFile,
+    BadInput, Location, Machine, MachineFile, RunFile,
     applied::{Unaided, require_applied_once},
     compile::check_slopes,
     file::{ElongationSource, LinearAxis, Quantity, ThermalMode},
@@ -88,15 +88,14 @@ impl Input {
                 Some((path.clone(), text, machine))
             }
         };
-        let read = |path: &PathBuf| -> Result<Unaided<'static>> {
-            let machine = machine.as_ref().map(|(_, _, machine)| machine);
-            let run = files::run_to_fit(path, machine)?;
-            let (run, notes) = Unaided::of(Cow::Owned(run), machine, None)?;
+        let of = machine.as_ref().map(|(_, _, machine)| machine);
+        let unaided = |run: RunFile| -> Result<Unaided<'static>> {
+            let (run, notes) = Unaided::of(Cow::Owned(run), of, None)?;
             notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
-        let runs = runs.iter().map(read).collect::<Result<Vec<_>, _>>()?;
-        let of = machine.as_ref().map(|(_, _, machine)| machine);
+        let runs = files::runs_to_fit(runs, of)?;
+        let runs = runs.into_iter().map(unaided).collect::<Result<Vec<_>>>()?;
         for quantity in Quantity::ALL {
             require_applied_once(&runs, of, quantity)?;
         }

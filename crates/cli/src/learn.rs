@@ -9,7 +9,7 @@ use std::{
     time::SystemTime,
 };
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::Args;
 use serde_json::{Value, json};
 use trueup_learn::{Change, Constant, Learned, Limits, Live, Memory, Owner, learn, live};
@@ -159,7 +159,8 @@ fn read(path: &Path, machine: &Machine) -> Result<RunFile> {
         let run = RunFile::from_reader(BufReader::new(io::stdin()), Path::new("standard input"))?;
         return Ok(files::usable(run, Some(machine))?);
     }
-    Ok(files::run_to_fit(path, Some(machine))?)
+    let mut read = files::runs_to_fit(&[path.to_path_buf()], Some(machine))?;
+    read.pop().context("one run file is one run")
 }
 
 /// Refuses an output that is the machine file of another machine.

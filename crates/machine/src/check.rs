@@ -85,24 +85,25 @@ pub fn run(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
         what: slip.rule,
         help: slip.help.unwrap_or_default(),
     });
-    in_order(of_names.chain(values(run, machine)))
+    in_order(of_names.chain(values(run, machine, &[])))
 }
 
 /// Returns the same without what the names of the columns say, for a command that says that itself.
 #[must_use]
-pub fn values(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
+pub fn values(run: &RunFile, machine: Option<&Machine>, others: &[RunFile]) -> Vec<Warning> {
     let mut warnings: Vec<Warning> =
-        slips(run, machine).into_iter().map(|finding| finding.warning).collect();
+        slips(run, machine, others).into_iter().map(|finding| finding.warning).collect();
     warnings.extend(run::warnings(run, machine));
     warnings.extend(clock::look(run).warnings);
     warnings
 }
 
 /// Returns the columns of the run that are unlikely or impossible in the units of their names, or compared with the
-/// machine file, and a clock that was set: a constant that is found from them is wrong.
+/// machine file, and a clock that was set: a constant that is found from them is wrong. `others` are the runs that the same
+/// command reads; `run` may be among them.
 #[must_use]
-pub fn slips(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
-    let mut slips = units::findings(run, machine);
+pub fn slips(run: &RunFile, machine: Option<&Machine>, others: &[RunFile]) -> Vec<Finding> {
+    let mut slips = units::findings(run, machine, others);
     // Where both know something, the machine file says in which unit it would be right.
     for finding in run::slips(run, machine) {
         match slips.iter_mut().find(|it| it.key == finding.key) {

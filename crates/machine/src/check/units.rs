@@ -57,8 +57,13 @@ const MOST_RANGE_UM: f64 = 20_000.0;
 /// A spindle that never turns faster than this in r/min has its speed in 1000 r/min.
 const MOST_KRPM: f64 = 40.0;
 
-/// Returns the columns of `run` that are in another unit than their names say.
-pub(super) fn findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding> {
+/// Returns the columns of `run` that are in another unit than their names say; `others` are runs of the same machine that
+/// are read together with it.
+pub(super) fn findings(
+    run: &RunFile,
+    machine: Option<&Machine>,
+    others: &[RunFile],
+) -> Vec<Finding> {
     let of_laws: Vec<String> = machine.map(required_columns).unwrap_or_default();
     let thermometers: Vec<&Column> =
         run.columns().iter().filter(|column| is_temperature_column(&column.name)).collect();
@@ -67,7 +72,7 @@ pub(super) fn findings(run: &RunFile, machine: Option<&Machine>) -> Vec<Finding>
         let is_law = of_laws.contains(&column.name);
         // Where no law says which it is, the only one is.
         let is_asked = is_law || thermometers.len() == 1;
-        let may_be_f = may_be_fahrenheit(column, &thermometers);
+        let may_be_f = may_be_fahrenheit(column, &thermometers) && !continues_one(column, others);
         findings.extend(temperature(run, column, is_law, [is_asked, may_be_f]));
     }
     // What is no temperature says nothing of the clock.
@@ -154,6 +159,15 @@ fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     around.is_none_or(|[low, high]| {
         celsius(most_f) >= low - APART_C && celsius(least_f) <= high + APART_C
     })
+}
+
+/// Returns whether another run has the column, in °C beyond doubt, and up to where this one begins: a run of the warm
+/// end, next to that of the cold one.
+fn continues_one(column: &Column, others: &[RunFile]) -> bool {
+    let Some([coldest_c, _]) = range(&column.values) else { return false };
+    let same = others.iter().filter_map(|run| range(run.column(&column.name)?));
+    same.filter(|[least, _]| !STANDING_F.contains(least))
+        .any(|[least_c, most_c]| least_c <= coldest_c && coldest_c <= most_c + APART_C)
 }
 
 /// Returns whether a machine has this temperature, in °C.

@@ -30,7 +30,7 @@ fn found(rows: &[[f64; 4]], change: impl Fn([f64; 4]) -> [f64; 4]) -> Vec<(Strin
     let run =
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-    let findings = findings(&run, Some(&machine)).into_iter();
+    let findings = findings(&run, Some(&machine), &[]).into_iter();
     findings.map(|it| (it.key, it.grade, it.warning.what)).collect()
 }
 
@@ -69,7 +69,7 @@ fn what_is_rare_and_right_is_not_refused() {
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let machine =
             MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-        findings(&run, Some(&machine)).iter().any(|it| it.grade == Grade::Impossible)
+        findings(&run, Some(&machine), &[]).iter().any(|it| it.grade == Grade::Impossible)
     };
     let rows = |row: &dyn Fn(usize) -> String| (0..300).map(row).collect::<String>();
     // A furnace next to the machine.
@@ -88,7 +88,7 @@ fn what_is_rare_and_right_is_not_refused() {
     let text = format!("time_s,temp_nose_c,measured_elongation_um\n{weeks}");
     let run =
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
-    assert_eq!(findings(&run, None), []);
+    assert_eq!(findings(&run, None, &[]), []);
 }
 
 /// A bearing that is at 52 °C from the first row on, next to a bed at 22 °C: in °F it would be at 11 °C.
@@ -102,9 +102,29 @@ fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
             RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run");
         let machine =
             MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
-        findings(&run, Some(&machine)).iter().any(|it| it.warning.what.contains("°F"))
+        findings(&run, Some(&machine), &[]).iter().any(|it| it.warning.what.contains("°F"))
     };
     assert!(!told(22.0));
     assert!(told(12.0), "as cold as it would be in °C");
     assert!(told(55.0), "all of them may be in °F");
+}
+
+/// The hot end of a rod, next to the record of its cold end; alone, and next to a record that may be in °F as well, it
+/// is asked.
+#[test]
+fn a_run_that_goes_on_where_another_ends_is_in_its_unit() {
+    let record = |from_c: f64| {
+        let rows =
+            (0..60).map(|row| format!("{},{:.2},0\n", 60 * row, from_c + 0.2 * f64::from(row)));
+        let text =
+            format!("time_s,temp_nose_c,measured_elongation_um\n{}", rows.collect::<String>());
+        RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run")
+    };
+    let hot = record(52.0);
+    let is_asked = |others: &[RunFile]| {
+        findings(&hot, None, others).iter().any(|it| it.warning.what.contains("°F"))
+    };
+    assert!(is_asked(&[]) && is_asked(&[record(52.0)]));
+    assert!(!is_asked(&[record(52.0), record(38.0)]), "38 to 49.8 °C, then 52");
+    assert!(is_asked(&[record(20.0)]), "20 to 31.8 °C does not reach 52");
 }
