@@ -58,13 +58,13 @@ pub fn run(args: &Check, as_json: bool) -> Result<Outcome> {
     for path in files {
         let (mut warnings, summary) = if is_machine(&path) {
             let machine = MachineFile::read(path)?;
-            refused.extend(check::refusal(&check::ranges(&machine), files::accepted()));
+            refused.extend(check::refusal(&check::ranges(&machine), &files::accepted()));
             of_machine(path, &machine, as_json)?
         } else {
             let (run, mut reported) = trusted(runs::read(path)?, beside.as_ref());
             refused.extend(check::refusal(
                 &check::slips(&run, beside.as_ref(), &[]),
-                files::accepted(),
+                &files::accepted(),
             ));
             let (warnings, summary) = of_run(path, &run, beside.as_ref(), as_json)?;
             report::remarks(&check::remarks(&run));

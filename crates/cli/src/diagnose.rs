@@ -19,7 +19,7 @@ use trueup_machine::{
     file,
 };
 use trueup_output::escape::one_line;
-use trueup_page::{micrometres, significant};
+use trueup_page::{Origin, micrometres, significant};
 
 use crate::{
     Outcome, UserError, commands, files, origin,
@@ -33,30 +33,8 @@ use crate::{
 /// repeat; what explains the runs makes the hold-out worse; or there are too few data.
 #[derive(Args)]
 pub struct Diagnose {
-    /// The machine file: what is believed.
-    #[arg(long, value_name = "M.toml")]
-    machine: PathBuf,
-    /// A run file; more than one are compared with each other.
-    #[arg(long = "run", value_name = "A.csv", required = true)]
-    runs: Vec<PathBuf>,
-    /// A record of the same machine with the bridge disengaged: with one of an engaged bridge it shows how the CNC applies the offset.
-    #[arg(long, value_name = "OFF.csv")]
-    off: Vec<PathBuf>,
-    /// The CNC was seen to apply the offset once (accept: applied_factor 1): a record of an engaged bridge decides alone.
-    #[arg(long)]
-    applied_once: bool,
-    /// A run that nothing is fitted to: it measures what the extension brings.
-    #[arg(long, value_name = "H.csv")]
-    holdout: Vec<PathBuf>,
-    /// What to compare, where the runs measure several quantities.
-    #[arg(long)]
-    quantity: Option<Quantity>,
-    /// The size of an error that matters, in µm RMS; by default what is left.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
-    matters_um: Option<f64>,
-    /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
-    #[arg(long, value_name = "UM", value_parser = above_zero)]
-    instrument_um: Option<f64>,
+    #[command(flatten)]
+    input: Input,
     /// Also plan the shortest run, of the spindle or of the axis, that tells open causes apart: next.csv to be filled in, next.json, and
     /// the program for this control.
     #[arg(long, value_name = "CONTROL")]
@@ -69,6 +47,43 @@ pub struct Diagnose {
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+}
+
+/// What is diagnosed, and what is asked of it.
+#[derive(Args)]
+pub struct Input {
+    /// The machine file: what is believed.
+    #[arg(long, value_name = "M.toml")]
+    pub machine: PathBuf,
+    /// A run file; more than one are compared with each other.
+    #[arg(long = "run", value_name = "A.csv", required = true)]
+    pub runs: Vec<PathBuf>,
+    /// A record of the same machine with the bridge disengaged: with one of an engaged bridge it shows how the CNC applies the offset.
+    #[arg(long, value_name = "OFF.csv")]
+    pub off: Vec<PathBuf>,
+    /// The CNC was seen to apply the offset once (accept: applied_factor 1): a record of an engaged bridge decides alone.
+    #[arg(long)]
+    pub applied_once: bool,
+    /// A run that nothing is fitted to: it measures what the extension brings.
+    #[arg(long, value_name = "H.csv")]
+    pub holdout: Vec<PathBuf>,
+    /// What to compare, where the runs measure several quantities.
+    #[arg(long)]
+    pub quantity: Option<Quantity>,
+    /// The size of an error that matters, in µm RMS; by default what is left.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    pub matters_um: Option<f64>,
+    /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
+    #[arg(long, value_name = "UM", value_parser = above_zero)]
+    pub instrument_um: Option<f64>,
+}
+
+impl Input {
+    /// Returns the paths of all runs: those that are fitted to, with the bridge disengaged, and held out. They are read
+    /// together, since what a column is shows in all of them.
+    pub fn paths(&self) -> Vec<PathBuf> {
+        [&*self.runs, &*self.off, &*self.holdout].concat()
+    }
 }
 
 /// Who reads the gauge.
@@ -114,21 +129,19 @@ pub fn above_zero(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
-    let source = MachineFile::read_text(&args.machine)?;
-    let mut machine = files::parsed(&source, &args.machine)?;
-    machine.instrument_um = args.instrument_um.or(machine.instrument_um);
-    // All at once: what a column is, is seen by them together.
-    let paths = [&*args.runs, &*args.off, &*args.holdout].concat();
-    let mut runs = files::runs_of_known_names(&paths, &machine)?;
-    let holdout = runs.split_off(args.runs.len() + args.off.len());
+    let input = &args.input;
+    let source = MachineFile::read_text(&input.machine)?;
+    let machine = with_instrument(files::parsed(&source, &input.machine)?, input.instrument_um);
+    let mut runs = files::runs_of_known_names(&input.paths(), &machine)?;
+    let holdout = runs.split_off(input.runs.len() + input.off.len());
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
 
     let bar = progress();
     let options = Options {
-        quantity: args.quantity.map(Quantity::of_machine),
-        matters_um: args.matters_um,
-        is_applied_once: args.applied_once,
+        quantity: input.quantity.map(Quantity::of_machine),
+        matters_um: input.matters_um,
+        is_applied_once: input.applied_once,
     };
     let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |what, share| {
         bar.set_message(what.to_string());
@@ -141,7 +154,17 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     for note in &diagnosis.report.notes {
         report::warn(note);
     }
-    write(args, &diagnosis, &machine.name, &source)?;
+    let mut inputs: Vec<&Path> = vec![&input.machine];
+    let paths = input.paths();
+    inputs.extend(paths.iter().map(PathBuf::as_path));
+    let made = made(&diagnosis, (&source, &input.machine), &origin::of(&inputs)?, &args.out)?;
+    warn_of_board(&diagnosis, (&source, &input.machine), &args.out)?;
+    let mut set = FileSet::new(&inputs);
+    for (file, text) in made {
+        set.text(&args.out.join(file), &text)?;
+    }
+    set.add(&args.out.join(RESIDUALS), |out| diagnosis.write_residuals(out))?;
+    set.commit()?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
         let motion = (&args.motion, args.gauge.gauge());
@@ -160,33 +183,49 @@ fn progress() -> ProgressBar {
     bar
 }
 
-fn write(args: &Diagnose, diagnosis: &Diagnosis, name: &str, source: &str) -> Result<()> {
-    let mut inputs: Vec<&Path> = vec![&args.machine];
-    inputs.extend(args.runs.iter().chain(&args.off).chain(&args.holdout).map(PathBuf::as_path));
-    let extended = diagnosis.extended(source, &args.machine)?;
-    let path = args.out.join("extended.toml");
-    let written =
-        files::to_be_written(&extended, &path, Some(&MachineFile::parse(source, &args.machine)?))?;
-    if let Some(BadInput { rule, .. }) =
-        refused(&MachineFile::parse(source, &args.machine)?, &written)
-    {
-        report::warn(format_args!("trueup compile will refuse {}: {rule}", path.display()));
+/// Returns the machine with the instrument that is stated in the place of the machine file's.
+pub fn with_instrument(machine: Machine, instrument_um: Option<f64>) -> Machine {
+    Machine { instrument_um: instrument_um.or(machine.instrument_um), ..machine }
+}
+
+/// The file of each row, next to those of [`made`].
+pub const RESIDUALS: &str = "residuals.csv";
+
+/// Returns the files of a diagnosis of the machine file `source` at a path, as they are written to the folder `out`.
+pub fn made(
+    diagnosis: &Diagnosis,
+    (source, path): (&str, &Path),
+    origin: &Origin,
+    out: &Path,
+) -> Result<Vec<(&'static str, String)>> {
+    let extended = diagnosis.extended(source, path)?;
+    let believed = MachineFile::parse(source, path)?;
+    files::to_be_written(&extended, &out.join("extended.toml"), Some(&believed))?;
+    let html = diagnosis.html(&believed.name, origin, &to_do_next(out, diagnosis));
+    Ok(vec![
+        ("diagnosis.json", diagnosis.json()? + "\n"),
+        ("report.html", html),
+        ("extended.toml", extended),
+    ])
+}
+
+/// Says what a board will not take of a diagnosis that was written to `folder`.
+fn warn_of_board(
+    diagnosis: &Diagnosis,
+    (source, path): (&str, &Path),
+    folder: &Path,
+) -> Result<()> {
+    let believed = MachineFile::parse(source, path)?;
+    let target = folder.join("extended.toml");
+    let written = MachineFile::parse(&diagnosis.extended(source, path)?, &target)?;
+    if let Some(BadInput { rule, .. }) = refused(&believed, &written) {
+        report::warn(format_args!("trueup compile will refuse {}: {rule}", target.display()));
     }
     let lines = &diagnosis.report.missing_inputs;
     if !lines.is_empty() {
         trueup_output::diagnostic(format_args!("help: {MISSING_INPUTS}\n{}", lines.join("\n")));
     }
-    let texts = [
-        ("diagnosis.json", diagnosis.json()? + "\n"),
-        ("report.html", diagnosis.html(name, &origin::of(&inputs)?, &to_do_next(args, diagnosis))),
-        ("extended.toml", extended),
-    ];
-    let mut set = FileSet::new(&inputs);
-    for (file, text) in texts {
-        set.text(&args.out.join(file), &text)?;
-    }
-    set.add(&args.out.join("residuals.csv"), |out| diagnosis.write_residuals(out))?;
-    set.commit()
+    Ok(())
 }
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
@@ -211,11 +250,11 @@ fn print_in_red(text: &str) -> Result<()> {
 const OF: usize = 42;
 
 /// Returns the lines to be typed next; none where what was found must not go to a board.
-fn to_do_next(args: &Diagnose, diagnosis: &Diagnosis) -> Vec<String> {
+fn to_do_next(out: &Path, diagnosis: &Diagnosis) -> Vec<String> {
     let verdict = diagnosis.report.verdict;
     let is_safe = matches!(verdict, Verdict::Explained | Verdict::PartlyExplained);
     match is_safe && diagnosis.corrects() {
-        true => commands::to_board(&args.out.join("extended.toml"), &args.out),
+        true => commands::to_board(&out.join("extended.toml"), out),
         false => Vec::new(),
     }
 }
@@ -286,7 +325,7 @@ fn print(args: &Diagnose, diagnosis: &Diagnosis, as_json: bool) -> Result<()> {
             ))?;
         }
     }
-    commands::print(&to_do_next(args, diagnosis))?;
+    commands::print(&to_do_next(&args.out, diagnosis))?;
     output::print(format_args!("{}", args.out.join("report.html").display()))
 }
 

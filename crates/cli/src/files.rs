@@ -2,6 +2,7 @@
 //! is refused unless the user accepts it (`--accept KEY`).
 
 use std::{
+    cell::RefCell,
     path::{Path, PathBuf},
     sync::OnceLock,
 };
@@ -16,6 +17,16 @@ use crate::{UserError, report, runs, summary};
 
 static ACCEPTED: OnceLock<Vec<String>> = OnceLock::new();
 
+thread_local! {
+    /// What was accepted when the job of this thread was submitted.
+    static ACCEPTED_FOR_JOB: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Sets the keys and columns that are accepted on this thread, together with those of the command line.
+pub fn accept_for_job(keys: &[String]) {
+    ACCEPTED_FOR_JOB.set(keys.to_vec());
+}
+
 /// Sets, once at the start, the keys and columns whose impossible values the user accepts.
 pub fn accept(keys: &[String]) {
     // A second time cannot be: there is one command line.
@@ -23,8 +34,9 @@ pub fn accept(keys: &[String]) {
 }
 
 /// Returns the keys and columns whose impossible values the user accepts.
-pub fn accepted() -> &'static [String] {
-    ACCEPTED.get().map_or(&[], Vec::as_slice)
+pub fn accepted() -> Vec<String> {
+    let of_command = ACCEPTED.get().into_iter().flatten().cloned();
+    of_command.chain(ACCEPTED_FOR_JOB.with_borrow(Clone::clone)).collect()
 }
 
 /// Reads the machine file at `path`, and says in short what is unlikely in it.
@@ -35,7 +47,7 @@ pub fn machine(path: &Path) -> Result<Machine, BadInput> {
 /// Parses and checks the text of a machine file in the same way as [`machine`].
 pub fn parsed(source: &str, path: &Path) -> Result<Machine, BadInput> {
     let machine = MachineFile::parse(source, path)?;
-    if let Some(refused) = check::refusal(&check::ranges(&machine), accepted()) {
+    if let Some(refused) = check::refusal(&check::ranges(&machine), &accepted()) {
         return Err(refused);
     }
     report::in_short(path, &check::machine(&machine));
@@ -61,7 +73,7 @@ pub fn to_be_written(text: &str, path: &Path, before: Option<&Machine>) -> anyho
 
 /// The same for values without a line of a file: of a calibration, or of a file that is not there yet.
 pub fn refuse_or_warn(name: &str, found: &[Finding]) -> Result<(), UserError> {
-    if let Some(refused) = check::refusal(found, accepted()) {
+    if let Some(refused) = check::refusal(found, &accepted()) {
         let each = refused.one_by_one().map(|BadInput { rule, help, .. }| match help {
             Some(help) => format!("{rule}. {help}"),
             None => rule,
@@ -115,7 +127,7 @@ fn with_tool_numbers(run: RunFile, machine: Option<&Machine>) -> Result<RunFile,
 }
 
 fn refuse_units(run: &RunFile, machine: Option<&Machine>) -> Result<(), BadInput> {
-    check::refusal(&check::slips(run, machine, &[]), accepted()).map_or(Ok(()), Err)
+    check::refusal(&check::slips(run, machine, &[]), &accepted()).map_or(Ok(()), Err)
 }
 
 fn refuse_slips(
@@ -126,26 +138,32 @@ fn refuse_slips(
     let found = check::slips(run, machine, others).into_iter();
     let refused: Vec<Finding> =
         found.map(|finding| Finding { grade: Grade::Impossible, ..finding }).collect();
-    check::refusal(&refused, accepted()).map_or(Ok(()), Err)
+    check::refusal(&refused, &accepted()).map_or(Ok(()), Err)
 }
 
 /// Reads run files as [`runs_to_fit`] does, for a command that looks after the names of the columns and the faults of
 /// thermometers itself.
 pub fn runs_of_known_names(paths: &[PathBuf], machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
-    let read = |path: &PathBuf| {
-        let run = with_tool_numbers(runs::read(path)?, Some(machine))?;
-        let (run, reported) = with_directions(run, Some(machine));
-        report::in_short(path, &reported);
+    of_known_names(paths.iter().map(|path| runs::read(path)).collect::<Result<_, _>>()?, machine)
+}
+
+/// The same for runs that are read already.
+pub fn of_known_names(runs: Vec<RunFile>, machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
+    let named = |run: RunFile| {
+        let path = run.path().to_path_buf();
+        let (run, reported) =
+            with_directions(with_tool_numbers(run, Some(machine))?, Some(machine));
+        report::in_short(&path, &reported);
         Ok(run)
     };
-    let read: Vec<RunFile> = paths.iter().map(read).collect::<Result<_, BadInput>>()?;
-    for (run, path) in read.iter().zip(paths) {
+    let runs: Vec<RunFile> = runs.into_iter().map(named).collect::<Result<_, BadInput>>()?;
+    for run in &runs {
         let (sound, _) = without_fault_values(run.clone());
-        refuse_slips(&sound, Some(machine), &read)?;
-        report::in_short(path, &check::values(&sound, Some(machine), &read));
+        refuse_slips(&sound, Some(machine), &runs)?;
+        report::in_short(run.path(), &check::values(&sound, Some(machine), &runs));
         report::remarks(&check::remarks(&sound));
     }
-    Ok(read)
+    Ok(runs)
 }
 
 /// Reads a file of at most this many bytes: a device named by mistake has no end.

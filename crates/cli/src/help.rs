@@ -57,6 +57,13 @@ const EXAMPLES: &[(&str, &str)] = &[
         "fit table1",
         "trueup fit table1 --run z_of_x.csv --run z_of_y.csv --run diagonal.csv -o table1.html",
     ),
+    (
+        "fleet submit",
+        "trueup fleet submit --dir shop --machine mill-7.toml --run mill-7-2026-11-22.csv --name M-0007",
+    ),
+    ("fleet worker", "trueup fleet worker --dir shop --threads 2 --until-empty"),
+    ("fleet status", "trueup fleet status --dir shop"),
+    ("fleet diagnose", "trueup fleet diagnose --dir shop --out series"),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
     ("linuxcnc check", "trueup linuxcnc check machine.ini --machine machine.toml"),
     (

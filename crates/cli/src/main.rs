@@ -26,6 +26,7 @@ mod export;
 mod files;
 mod firmware;
 mod fit;
+mod fleet;
 mod gateway;
 mod help;
 mod import;
@@ -112,6 +113,11 @@ enum Command {
     Doctor(doctor::Doctor),
     Export(export::Export),
     Fit(fit::Fit),
+    /// Many machines: jobs in a folder, workers that do them, and what the results say of a series.
+    Fleet {
+        #[command(subcommand)]
+        command: fleet::Command,
+    },
     Import(import::Import),
     Learn(learn::Learn),
     #[command(name = "linuxcnc")]
@@ -242,6 +248,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Doctor(args) => doctor::run(args, cli.json),
         Command::Export(args) => export::run(args, cli.json),
         Command::Fit(args) => fit::run(args, cli.json),
+        Command::Fleet { command } => fleet::run(command, cli.json),
         Command::Import(args) => import::run(args, cli.json),
         Command::Learn(args) => learn::run(args, cli.json),
         Command::LinuxCnc(args) => linuxcnc::run(args, cli.json),

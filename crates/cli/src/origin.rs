@@ -11,18 +11,26 @@ use crc::{CRC_32_ISO_HDLC, Crc};
 use time::OffsetDateTime;
 use trueup_page::Origin;
 
+/// The CRC of zip and Ethernet.
+const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
+
 /// That of a report of today from these files.
 pub fn of(files: &[&Path]) -> Result<Origin> {
     let named = |path: &&Path| Ok((path.display().to_string(), crc32(path)?));
-    Ok(Origin {
-        version: env!("CARGO_PKG_VERSION").into(),
-        date: OffsetDateTime::now_utc().date().to_string(),
-        files: files.iter().map(named).collect::<Result<_>>()?,
-    })
+    Ok(of_checked(files.iter().map(named).collect::<Result<_>>()?))
+}
+
+/// The same from files that are read already: their names and contents.
+pub fn of_read(files: &[(&str, &[u8])]) -> Origin {
+    of_checked(files.iter().map(|(name, bytes)| ((*name).into(), CRC.checksum(bytes))).collect())
+}
+
+fn of_checked(files: Vec<(String, u32)>) -> Origin {
+    let date = OffsetDateTime::now_utc().date().to_string();
+    Origin { version: env!("CARGO_PKG_VERSION").into(), date, files }
 }
 
 fn crc32(path: &Path) -> Result<u32> {
-    const CRC: Crc<u32, crc::Table<16>> = Crc::<u32, crc::Table<16>>::new(&CRC_32_ISO_HDLC);
     let during = || format!("while reading {} again", path.display());
     let mut file = BufReader::with_capacity(1 << 16, File::open(path).with_context(during)?);
     let mut digest = CRC.digest();

@@ -19,3 +19,13 @@ pub fn both<A: Send, B: Send>(
 ) -> (A, B) {
     rayon::join(one, other)
 }
+
+/// Returns what `of` gives with all its pieces on one core of the computer: for work whose parts are spread over the
+/// cores already.
+///
+/// # Panics
+/// No thread can be started.
+pub fn on_one_core<R: Send>(of: impl FnOnce() -> R + Send) -> R {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+    pool.expect("a thread can be started").install(of)
+}

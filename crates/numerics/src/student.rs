@@ -14,3 +14,16 @@ pub fn t_quantile(probability: f64, degrees_of_freedom: f64) -> f64 {
         _ => f64::INFINITY,
     }
 }
+
+/// Returns the probability that Student's t is below `t`; NaN without degrees of freedom.
+///
+/// ```
+/// assert!((trueup_numerics::t_probability(2.228_138_9, 10.0) - 0.975).abs() < 1e-8);
+/// ```
+#[must_use]
+pub fn t_probability(t: f64, degrees_of_freedom: f64) -> f64 {
+    match StudentsT::new(0.0, 1.0, degrees_of_freedom) {
+        Ok(student) if degrees_of_freedom > 0.0 => student.cdf(t),
+        _ => f64::NAN,
+    }
+}

@@ -12,6 +12,7 @@ mod diagnose;
 mod export;
 mod files;
 mod fit;
+mod fleet;
 mod hostile;
 mod import;
 mod install;

@@ -1,0 +1,248 @@
+//! `trueup fleet`: jobs in a folder, workers, and what the results say of a series.
+
+mod job;
+
+use std::{fs, path::PathBuf, time::Duration};
+
+use anyhow::{Context as _, Result};
+use clap::{Args, Subcommand};
+use trueup_compare::dated;
+use trueup_fleet::{
+    page, result, series,
+    store::Store,
+    worker::{self, Entry, Options, Tally},
+};
+use trueup_output::escape::shell_word;
+
+use crate::{
+    Outcome, UserError,
+    diagnose::{self, above_zero},
+    origin,
+    output::{self, FileSet},
+    report,
+};
+
+#[derive(Subcommand)]
+pub enum Command {
+    Submit(Submit),
+    Worker(Worker),
+    Status(Status),
+    Diagnose(Diagnose),
+}
+
+/// Puts a diagnosis of one machine into the folder, for a worker.
+///
+/// The files are copied. The same content of the same machine is one job, however often it is submitted; a job that
+/// failed is tried again.
+#[derive(Args)]
+pub struct Submit {
+    /// The folder of the fleet; made if it is not there.
+    #[arg(long, value_name = "DIR")]
+    dir: PathBuf,
+    /// The machine; left out, serial of the machine file, else its name.
+    #[arg(long, value_name = "SERIAL")]
+    name: Option<String>,
+    /// The day of the record, 2026-11-22; left out, the date in the name of the first run file.
+    #[arg(long, value_name = "DATE", value_parser = day)]
+    date: Option<dated::Day>,
+    #[command(flatten)]
+    input: diagnose::Input,
+}
+
+/// Does the jobs of the folder, as many at once as it has threads.
+///
+/// Any number of workers may share the folder. One that is killed loses nothing: its lease ends, and another worker
+/// takes the job. Exit 3 with --until-empty: a job has failed.
+#[derive(Args)]
+pub struct Worker {
+    /// The folder of the fleet.
+    #[arg(long, value_name = "DIR")]
+    dir: PathBuf,
+    /// Jobs at once, each on one core.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: u16,
+    /// End once every job has a result or has failed; left out, wait for more.
+    #[arg(long)]
+    until_empty: bool,
+    /// How long a worker may be silent before another one takes its job, in s.
+    #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = above_zero)]
+    lease_s: f64,
+}
+
+/// Shows which jobs wait, run, are done and have failed.
+#[derive(Args)]
+pub struct Status {
+    /// The folder of the fleet.
+    #[arg(long, value_name = "DIR")]
+    dir: PathBuf,
+}
+
+/// Shows what the results say of the series: common constants, odd and drifting machines, the next measurement.
+///
+/// Exit 3: a machine is unlike the others, or drifts.
+#[derive(Args)]
+pub struct Diagnose {
+    /// The folder of the fleet.
+    #[arg(long, value_name = "DIR")]
+    dir: PathBuf,
+    /// The folder for fleet.json and report.html.
+    #[arg(long, value_name = "OUT")]
+    out: PathBuf,
+}
+
+/// Parses a day as it is written.
+fn day(text: &str) -> Result<dated::Day, String> {
+    dated::day_of(text).ok_or_else(|| "is no date like 2026-11-22".into())
+}
+
+pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
+    match command {
+        Command::Submit(args) => submit(args, as_json),
+        Command::Worker(args) => work(args, as_json),
+        Command::Status(args) => status(args, as_json),
+        Command::Diagnose(args) => diagnose(args, as_json),
+    }
+}
+
+/// Opens the folder of a fleet.
+fn open(dir: &std::path::Path) -> Result<Store, UserError> {
+    let rule = "is no folder of a fleet: trueup fleet submit makes it";
+    Store::open(dir).ok_or_else(|| UserError(format!("{}: {rule}", dir.display())))
+}
+
+fn submit(args: &Submit, as_json: bool) -> Result<Outcome> {
+    let submission = job::submission(&args.input, args.name.as_deref(), args.date)?;
+    let store = Store::create(&args.dir)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.dir.display())))?;
+    let submitted = submission.submit(&store).context("the job cannot be written")?;
+    if let Some(date) = &submitted.other_date {
+        report::warn(format_args!(
+            "the job was submitted before with another date ({date}), which stays; to change it, remove {}",
+            store.job(&submitted.id).display()
+        ));
+    }
+    let machine = &submission.machine;
+    if as_json {
+        output::print(serde_json::json!({
+            "id": submitted.id, "machine": machine, "new": submitted.is_new, "date": submission.date,
+        }))?;
+    } else {
+        let state = if submitted.is_new { "waits for a worker" } else { "was there already" };
+        output::print(format_args!("job {} of {machine} {state}", submitted.id))?;
+        let dir = args.dir.to_string_lossy();
+        output::print(format_args!(
+            "then: trueup fleet worker --dir {} --until-empty",
+            shell_word(&dir)
+        ))?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn work(args: &Worker, as_json: bool) -> Result<Outcome> {
+    let store = open(&args.dir)?;
+    let options = Options {
+        threads: usize::from(args.threads),
+        lease: Duration::from_secs_f64(args.lease_s),
+        until_empty: args.until_empty,
+    };
+    // What is doubtful in the files was said when they were submitted.
+    let worked = report::with_warnings(false, || worker::work(&store, options, &job::diagnose));
+    let Tally { done, failed } = worked.with_context(|| args.dir.display().to_string())?;
+    let status = worker::status(&store)?;
+    if as_json {
+        output::print(serde_json::json!({"done": done, "failed": failed}))?;
+    } else {
+        output::print(format_args!("{done} done, {failed} failed by this worker"))?;
+        print_failed(&status.failed)?;
+    }
+    Ok(if status.failed.is_empty() { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn print_failed(failed: &[Entry]) -> Result<()> {
+    failed.iter().try_for_each(|it| {
+        let reason = it.reason.as_deref().unwrap_or("no reason is stored");
+        output::print(format_args!("  failed {} {}: {reason}", it.id, it.machine))
+    })
+}
+
+fn status(args: &Status, as_json: bool) -> Result<Outcome> {
+    let store = open(&args.dir)?;
+    let status = worker::status(&store)?;
+    if as_json {
+        output::print(serde_json::to_string_pretty(&status)?)?;
+        return Ok(Outcome::Done);
+    }
+    output::print(format_args!(
+        "{} waiting, {} running, {} done, {} failed",
+        status.waiting.len(),
+        status.running.len(),
+        status.done.len(),
+        status.failed.len()
+    ))?;
+    for (state, entries) in [("waiting", &status.waiting), ("running", &status.running)] {
+        for Entry { id, machine, taken, .. } in entries {
+            let taken = taken.filter(|taken| *taken > 1);
+            let taken = taken.map_or(String::new(), |it| format!(", taken {it} times"));
+            output::print(format_args!("  {state} {id} {machine}{taken}"))?;
+        }
+    }
+    for Entry { id, machine, .. } in &status.done {
+        let report = store.result(id).join("out").join("report.html");
+        output::print(format_args!("  done {id} {machine}: {}", report.display()))?;
+    }
+    print_failed(&status.failed)?;
+    Ok(Outcome::Done)
+}
+
+fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
+    let store = open(&args.dir)?;
+    let result::Results { whole, damaged } = result::read(&store)?;
+    let mut notes = damaged;
+    let mut records = Vec::new();
+    for stored in &whole {
+        match job::record(&store, stored) {
+            Ok(record) => records.push(record),
+            Err(why) => notes.push(format!("results/{}: {why}", stored.done.id)),
+        }
+    }
+    notes.iter().for_each(report::warn);
+    if records.is_empty() {
+        let rule = "has no result: trueup fleet worker makes them";
+        return Err(UserError(format!("{}: {rule}", args.dir.display())).into());
+    }
+    let series = series::series(&records, notes);
+    let json = serde_json::to_string_pretty(&series)?;
+    let read: Vec<(&str, &[u8])> = whole
+        .iter()
+        .filter_map(|it| Some((it.done.id.as_str(), it.files.get(job::DIAGNOSIS)?.as_slice())))
+        .collect();
+    let html = page::html(&series, &args.dir.display().to_string(), &origin::of_read(&read));
+    fs::create_dir_all(&args.out)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
+    let mut set = FileSet::new(&[]);
+    set.text(&args.out.join("fleet.json"), &format!("{json}\n"))?;
+    set.text(&args.out.join("report.html"), &html)?;
+    set.commit()?;
+    let conspicuous = page::conspicuous(&series);
+    if as_json {
+        output::print(json)?;
+    } else {
+        let results = records.len();
+        output::print(format_args!("{} machines, {results} results", series.machines.len()))?;
+        for it in &conspicuous {
+            output::print(it)?;
+        }
+        for it in series.constants.iter().filter(|it| it.machines > 1) {
+            let [value, low, high] = trueup_page::within(it.mean.value, it.mean.ci95);
+            output::print(format_args!(
+                "{}: {value} ({low} to {high}) on {} machines",
+                it.name, it.machines
+            ))?;
+        }
+        if let Some(next) = series.next.first() {
+            output::print(format_args!("next: {}", next.sentence))?;
+        }
+        output::print(args.out.join("report.html").display())?;
+    }
+    Ok(if conspicuous.is_empty() { Outcome::Done } else { Outcome::NotMet })
+}

@@ -1,0 +1,160 @@
+//! A job of a fleet: from the files of a command line to what is stored, and from there to the files of a diagnosis.
+
+use std::{fs, path::Path};
+
+use anyhow::Result;
+use clap::ValueEnum as _;
+use trueup_compare::dated;
+use trueup_diagnose::{Options, diagnose_for};
+use trueup_fleet::{
+    constants,
+    job::{Content, Job, JobFile, Request, Submission},
+    record::Record,
+    result::Stored,
+    store::{Store, checksum},
+    worker::{Failure, Files, Loaded},
+};
+use trueup_machine::{BadInput, Machine, MachineFile, RunFile, file};
+
+use crate::{
+    diagnose::{Input, Quantity, RESIDUALS, made, with_instrument},
+    files, origin, report,
+};
+
+/// The answer of a diagnosis, among its files.
+pub const DIAGNOSIS: &str = "diagnosis.json";
+
+/// Reads the files of a command line, as `trueup diagnose` does, into a job.
+pub fn submission(
+    input: &Input,
+    name: Option<&str>,
+    date: Option<dated::Day>,
+) -> Result<Submission> {
+    let source = MachineFile::read_text(&input.machine)?;
+    let machine = with_instrument(files::parsed(&source, &input.machine)?, input.instrument_um);
+    let content = |path: &Path, bytes: Vec<u8>| Content { path: path.display().to_string(), bytes };
+    let run = |path: &std::path::PathBuf| -> Result<Content> {
+        files::run_of_known_names(path, &machine)?;
+        Ok(content(path, fs::read(path)?))
+    };
+    let all = |paths: &[std::path::PathBuf]| paths.iter().map(run).collect::<Result<Vec<_>>>();
+    let serial = machine.serial.clone().filter(|serial| !serial.is_empty());
+    let machine_name = match (name, serial) {
+        (Some(name), _) => name.to_string(),
+        (None, Some(serial)) => serial,
+        (None, None) => {
+            report::warn(format_args!(
+                "{} has no serial under [machine]: the job is of the machine \"{}\"; give --name SERIAL where several \
+                 machines have this name",
+                input.machine.display(),
+                machine.name
+            ));
+            machine.name.clone()
+        }
+    };
+    let named = input.runs.first().and_then(|path| path.file_name());
+    let named = named.and_then(|name| dated::day_of(&name.to_string_lossy()));
+    Ok(Submission {
+        machine: machine_name,
+        date: date.or(named).map(dated::text_of),
+        runs: all(&input.runs)?,
+        off: all(&input.off)?,
+        holdout: all(&input.holdout)?,
+        machine_file: content(&input.machine, source.into_bytes()),
+        request: Request {
+            quantity: input.quantity.map(|it| it.of_machine().name().to_string()),
+            matters_um: input.matters_um,
+            instrument_um: input.instrument_um,
+            applied_once: input.applied_once,
+            accept: files::accepted(),
+        },
+    })
+}
+
+/// Makes the diagnosis of a job, as `trueup diagnose` makes it of the files that were submitted.
+pub fn diagnose(loaded: &Loaded, out: &Path) -> Result<Files, Failure> {
+    answer(loaded, out).map_err(|error| {
+        Failure::Job(match error.downcast::<BadInput>() {
+            Ok(error) => format!("{}: {}", error.place, error.rule),
+            Err(error) => format!("{error:#}"),
+        })
+    })
+}
+
+fn answer(loaded: &Loaded, out: &Path) -> Result<Files> {
+    let job = &loaded.job;
+    let request = &job.request;
+    files::accept_for_job(&request.accept);
+    let path = Path::new(&job.machine_file.path);
+    let source = String::from_utf8(loaded.machine_file.clone())?;
+    let machine = with_instrument(files::parsed(&source, path)?, request.instrument_um);
+    let (mut runs, holdout) =
+        (read(&job.runs, &loaded.runs, &machine)?, read(&job.holdout, &loaded.holdout, &machine)?);
+    runs.extend(read(&job.off, &loaded.off, &machine)?);
+    let options = Options {
+        quantity: request.quantity.as_deref().and_then(quantity),
+        matters_um: request.matters_um,
+        is_applied_once: request.applied_once,
+    };
+    let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |_, _| {})?;
+    let mut inputs = vec![(job.machine_file.path.as_str(), loaded.machine_file.as_slice())];
+    let all = [(&job.runs, &loaded.runs), (&job.off, &loaded.off), (&job.holdout, &loaded.holdout)];
+    for (files, bytes) in all {
+        inputs.extend(files.iter().map(|it| it.path.as_str()).zip(bytes.iter().map(Vec::as_slice)));
+    }
+    let texts = made(&diagnosis, (&source, path), &origin::of_read(&inputs), out)?;
+    let mut files: Files =
+        texts.into_iter().map(|(name, text)| (name, text.into_bytes())).collect();
+    let mut residuals = Vec::new();
+    diagnosis.write_residuals(&mut residuals)?;
+    files.push((RESIDUALS, residuals));
+    Ok(files)
+}
+
+fn read(files: &[JobFile], bytes: &[Vec<u8>], machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
+    let run = |(file, bytes): (&JobFile, &Vec<u8>)| {
+        let run = RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))?;
+        files::of_known_names(run, machine)
+    };
+    files.iter().zip(bytes).map(run).collect()
+}
+
+/// Returns the quantity of this name.
+fn quantity(name: &str) -> Option<file::Quantity> {
+    Quantity::value_variants().iter().map(|it| it.of_machine()).find(|it| it.name() == name)
+}
+
+/// Returns what a result says of its machine.
+pub fn record(store: &Store, stored: &Stored) -> Result<Record, String> {
+    let done = &stored.done;
+    let bytes = stored.files.get(DIAGNOSIS).ok_or("has no diagnosis.json")?;
+    let diagnosis: serde_json::Value =
+        serde_json::from_slice(bytes).map_err(|error| format!("{DIAGNOSIS}: {error}"))?;
+    let job = Job::read(store, &done.id).map_err(|damage| damage.to_string())?;
+    let folder = store.job(&done.id);
+    let source = job.bytes(&folder, &job.machine_file).map_err(|damage| damage.to_string())?;
+    let source = String::from_utf8_lossy(&source);
+    let machine = MachineFile::parse(&source, Path::new(&job.machine_file.path))
+        .map_err(|error| error.rule)?;
+    Ok(Record {
+        machine: done.machine.clone(),
+        day: done.date.as_deref().and_then(dated::day_of),
+        verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),
+        belief: belief(machine, diagnosis["quantity"].as_str().unwrap_or_default()),
+        found: constants::found(&diagnosis),
+        fitted: Vec::new(),
+    })
+}
+
+/// Returns what a machine file believes of a quantity, whatever machine it is of.
+fn belief(machine: Machine, quantity: &str) -> String {
+    let Machine { kind, tool_direction, spindle, axes, straightness, squareness, terms, .. } =
+        machine;
+    let text = match quantity {
+        "elongation" => format!("{spindle:?} {terms:?}"),
+        _ => format!(
+            "{kind:?} {tool_direction:?} {spindle:?} {axes:?} {straightness:?} {squareness:?} {terms:?}"
+        ),
+    };
+    checksum(text.as_bytes())
+}

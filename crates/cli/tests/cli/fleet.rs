@@ -1,0 +1,175 @@
+//! `trueup fleet` as users run it: submit, workers that are killed, results equal to those of `trueup diagnose`, and the
+//! series.
+
+use std::{
+    fs,
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde_json::Value;
+use trueup_numerics::random::Generator;
+
+use crate::desk::Desk;
+
+const MACHINE: &str =
+    "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[instrument]\nuncertainty_um = 0.5\n";
+
+/// Returns a run of an axis whose scale is long by `um_per_m`.
+fn run(seed: u64, um_per_m: f64) -> String {
+    let mut generator = Generator::new(seed);
+    let mut text = String::from("run,x_mm,dir_x,measured_dx_um\n");
+    for cycle in 1..=3 {
+        for way in [1, -1] {
+            for target in 0..11 {
+                let mm = if way > 0 {
+                    50.0 * f64::from(target)
+                } else {
+                    500.0 - 50.0 * f64::from(target)
+                };
+                let um = um_per_m * mm / 1000.0 + 0.3 * generator.normal();
+                text += &format!("{cycle},{mm},{way},{um:.3}\n");
+            }
+        }
+    }
+    text
+}
+
+fn desk_with(jobs: usize) -> Desk {
+    let desk = Desk::new(&[("m.toml", MACHINE)]);
+    for job in 0..jobs {
+        let name = format!("r{job}.csv");
+        desk.write(&name, run(job as u64, 10.0));
+        desk.said(
+            &format!("fleet submit --dir shop --machine m.toml --run {name} --name M{job}"),
+            0,
+        );
+    }
+    desk
+}
+
+fn status(desk: &Desk) -> Value {
+    let (out, _) = desk.said("--json fleet status --dir shop", 0);
+    serde_json::from_str(&out).expect("JSON")
+}
+
+fn worker(desk: &Desk, lease_s: f64) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_trueup"))
+        .args(["fleet", "worker", "--dir", "shop", "--until-empty", "--lease-s"])
+        .arg(lease_s.to_string())
+        .current_dir(desk.path("."))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the tool was built for this test")
+}
+
+#[test]
+fn a_result_has_the_bytes_of_diagnose() {
+    let desk = desk_with(2);
+    let (out, _) = desk.said("fleet worker --dir shop --threads 2 --until-empty", 0);
+    assert!(out.starts_with("2 done, 0 failed"), "{out}");
+    let (out, _) =
+        desk.said("--json fleet submit --dir shop --machine m.toml --run r1.csv --name M1", 0);
+    let submitted: Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(submitted["new"], false);
+    let id = submitted["id"].as_str().expect("an identifier");
+    let single = desk.trueup("diagnose --machine m.toml --run r1.csv --out d");
+    assert!(matches!(single.status.code(), Some(0 | 3)));
+    let out = format!("shop/results/{id}/out");
+    assert_eq!(desk.files(&out), desk.files("d"));
+    for name in ["diagnosis.json", "extended.toml", "residuals.csv"] {
+        assert!(desk.read(&format!("{out}/{name}")) == desk.read(&format!("d/{name}")), "{name}");
+    }
+    // The page names its folder in the lines to be typed next, and nothing else is its own.
+    let page = desk.text(&format!("{out}/report.html")).replace(&out, "d");
+    assert_eq!(page, desk.text("d/report.html"));
+}
+
+#[test]
+fn workers_that_are_killed_lose_nothing_and_each_job_has_one_result() {
+    const JOBS: usize = 3;
+    let desk = desk_with(JOBS);
+    let mut generator = Generator::new(50);
+    let started = Instant::now();
+    let mut kills = 0;
+    while kills < 50 && started.elapsed() < Duration::from_secs(6) {
+        let mut child = worker(&desk, 0.2);
+        thread::sleep(Duration::from_secs_f64(0.25 * generator.uniform()));
+        child.kill().expect("it is a child of this test");
+        child.wait().expect("it has ended");
+        kills += 1;
+        // What is done stays done, so that every schedule has jobs to interrupt.
+        let done = desk.files("shop/results");
+        if done.len() == JOBS {
+            fs::remove_dir_all(desk.path(&format!("shop/results/{}", done[0]))).expect("removed");
+        }
+    }
+    let ended = worker(&desk, 0.2).wait().expect("it ends by itself");
+    assert!(ended.success());
+    let status = status(&desk);
+    let count = |key: &str| status[key].as_array().map_or(0, Vec::len);
+    println!("{kills} kills");
+    assert_eq!(
+        [count("done"), count("waiting"), count("running"), count("failed")],
+        [JOBS, 0, 0, 0]
+    );
+    assert_eq!(desk.files("shop/tmp"), [] as [String; 0]);
+    for entry in status["done"].as_array().expect("a list") {
+        let [id, machine] = ["id", "machine"].map(|key| entry[key].as_str().expect("a text"));
+        let run = machine.replace('M', "r");
+        desk.trueup(&format!("diagnose --machine m.toml --run {run}.csv --out d"));
+        for name in ["diagnosis.json", "extended.toml", "residuals.csv"] {
+            let there = desk.read(&format!("shop/results/{id}/out/{name}"));
+            assert!(there == desk.read(&format!("d/{name}")), "{machine} {name}");
+        }
+    }
+}
+
+#[test]
+fn the_odd_machine_of_a_series_is_named_and_the_page_has_its_picture() {
+    let desk = Desk::new(&[("m.toml", MACHINE)]);
+    let mut generator = Generator::new(7);
+    for machine in 0..8 {
+        let um_per_m = if machine == 5 { 40.0 } else { 10.0 + generator.normal() };
+        desk.write("r.csv", run(machine, um_per_m));
+        desk.said(
+            &format!("fleet submit --dir shop --machine m.toml --run r.csv --name M{machine}"),
+            0,
+        );
+    }
+    desk.said("fleet worker --dir shop --threads 2 --until-empty", 0);
+    let (out, _) = desk.said("fleet diagnose --dir shop --out series", 3);
+    assert!(out.contains("M5 is unlike the others: dx pitch-scale um_per_m is 4"), "{out}");
+    let series: Value = serde_json::from_str(&desk.text("series/fleet.json")).expect("JSON");
+    let odd: Vec<&str> = series["machines"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .filter(|it| it["odd"].as_array().is_some_and(|odd| !odd.is_empty()))
+        .filter_map(|it| it["machine"].as_str())
+        .collect();
+    assert_eq!(odd, ["M5"]);
+    let page = desk.text("series/report.html");
+    assert!(page.contains("<svg") && page.contains("odd: M5"), "{page}");
+}
+
+#[test]
+fn what_is_no_fleet_or_no_run_is_refused_with_what_to_do() {
+    let desk = Desk::new(&[("m.toml", MACHINE), ("r.csv", "a,b\n1,2\n"), ("x.csv", "")]);
+    let (_, err) = desk.said("fleet status --dir nowhere", 2);
+    assert!(
+        err.contains("nowhere: is no folder of a fleet: trueup fleet submit makes it"),
+        "{err}"
+    );
+    desk.said("fleet submit --dir shop --machine m.toml --run x.csv", 2);
+    assert!(!desk.path("shop").exists(), "nothing is made");
+    // A run without a measured column is refused by the diagnosis, with its reason in the status.
+    desk.said("fleet submit --dir shop --machine m.toml --run r.csv --name M", 0);
+    desk.said("fleet worker --dir shop --until-empty", 3);
+    let (out, _) = desk.said("fleet status --dir shop", 0);
+    assert!(out.contains("1 failed") && out.contains("r.csv"), "{out}");
+    let (_, err) = desk.said("fleet diagnose --dir shop --out series", 2);
+    assert!(err.contains("has no result"), "{err}");
+}

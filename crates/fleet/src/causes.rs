@@ -1,0 +1,118 @@
+//! A cause over the series: claimed on one machine, and what the others say of it.
+//!
+//! A machine confirms a cause whose diagnosis claims it, or whose fit of it excludes the value at which it does nothing,
+//! on the same side as the claim. Of fits that were made because another machine has the cause, each may exclude
+//! nothing by chance: together they are pooled first.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use crate::{
+    constants::{Found, nothing},
+    pool::{Estimate, pool},
+    record::Record,
+    report::Cause,
+};
+
+/// What machines say of a cause.
+#[derive(Default)]
+struct Of<'r> {
+    claimed: BTreeSet<&'r str>,
+    found: BTreeSet<&'r str>,
+    alternative: BTreeSet<&'r str>,
+    sizes: Vec<Size<'r>>,
+}
+
+/// A deviation from nothing: the machine, the parameter, its size, and whether it is of a claim.
+type Size<'r> = (&'r str, &'r str, Estimate, bool);
+
+/// Returns the causes of all records.
+pub(crate) fn causes(records: &[Record]) -> Vec<Cause> {
+    let mut all: BTreeMap<&str, Of<'_>> = BTreeMap::new();
+    for record in records {
+        let machine = record.machine.as_str();
+        for found in &record.found {
+            let of = all.entry(&found.name).or_default();
+            let list = if found.claimed { &mut of.claimed } else { &mut of.found };
+            list.insert(machine);
+            sizes(of, machine, found);
+            for other in &found.alternatives {
+                all.entry(other).or_default().alternative.insert(machine);
+            }
+        }
+        for found in &record.fitted {
+            sizes(all.entry(&found.name).or_default(), machine, found);
+        }
+    }
+    all.into_iter().map(|(name, of)| cause(name, &of)).collect()
+}
+
+fn sizes<'r>(of: &mut Of<'r>, machine: &'r str, found: &'r Found) {
+    of.sizes.extend(found.constants.iter().filter_map(|it| {
+        let value = it.estimate.value - nothing(&it.parameter)?;
+        let size = Estimate { value, se: it.estimate.se };
+        Some((machine, it.parameter.as_str(), size, found.claimed))
+    }));
+}
+
+/// Returns whether other machines than the one that claims it have a cause too.
+fn is_confirmed(of: &Of<'_>) -> bool {
+    match of.claimed.len() {
+        0 => false,
+        1 => {
+            let parameters: BTreeSet<&str> = of.sizes.iter().map(|it| it.1).collect();
+            parameters.into_iter().any(|parameter| {
+                let sizes = of.sizes.iter().filter(|it| it.1 == parameter);
+                let (claims, others): (Vec<&Size<'_>>, Vec<&Size<'_>>) =
+                    sizes.partition(|it| of.claimed.contains(it.0));
+                let claim = claims.iter().filter(|it| it.3).map(|it| it.2.value).sum::<f64>();
+                let others: Vec<Estimate> = others.into_iter().map(|it| it.2).collect();
+                pool(&others).is_some_and(|it| {
+                    let [low, high] = it.mean.ci95();
+                    (low > 0.0 && claim > 0.0) || (high < 0.0 && claim < 0.0)
+                })
+            })
+        }
+        _ => true,
+    }
+}
+
+fn cause(name: &str, of: &Of<'_>) -> Cause {
+    let list = |names: &BTreeSet<&str>| names.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let confirmed = is_confirmed(of);
+    let measured: BTreeSet<&str> = of.sizes.iter().map(|it| it.0).collect();
+    let others = measured.iter().filter(|it| !of.claimed.contains(*it)).count();
+    let machines =
+        |count: usize| format!("{count} {}", if count == 1 { "machine" } else { "machines" });
+    let sentence = match (of.claimed.len(), confirmed) {
+        (0, _) if of.found.is_empty() => {
+            format!("{} cannot exclude it.", capital(&machines(of.alternative.len())))
+        }
+        (0, _) => format!("Found on {}, and claimed on none.", machines(of.found.len())),
+        (1, true) => format!("Claimed on 1 machine, and confirmed by {others} of the others."),
+        (1, false) if others == 0 => {
+            "Claimed on 1 machine; no other one has been measured for it.".into()
+        }
+        (1, false) => {
+            format!(
+                "Claimed on 1 machine, and not confirmed by {} that were measured for it.",
+                machines(others)
+            )
+        }
+        (claims, _) => format!("Claimed on {}.", machines(claims)),
+    };
+    Cause {
+        name: name.into(),
+        claimed_on: list(&of.claimed),
+        found_on: list(&of.found),
+        alternative_on: list(&of.alternative),
+        confirmed,
+        sentence,
+    }
+}
+
+fn capital(text: &str) -> String {
+    let mut characters = text.chars();
+    characters
+        .next()
+        .map_or(String::new(), |first| first.to_uppercase().chain(characters).collect())
+}

@@ -1,0 +1,109 @@
+//! A constant of one machine over its days: does it change, and how fast.
+//!
+//! A line v = a + b·t by weighted least squares; the errors of the fits are known, so two days are enough. Where the
+//! values scatter more than their errors say, the interval grows as much (Birge 1932), with Student's t for the days
+//! that are left.
+
+use serde::Serialize;
+use trueup_compare::dated::Day;
+use trueup_numerics::t_quantile;
+
+use crate::{
+    odd::LEVEL,
+    pool::{Estimate, Z95},
+};
+
+/// Days of a year.
+const YEAR: f64 = 365.25;
+
+/// A change with time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// The change in a year.
+    pub per_year: f64,
+    /// Its interval of 95 %.
+    pub ci95: [f64; 2],
+    /// True if it is certain: of machines that do not change one in 100 is called so, over all its constants.
+    pub is_certain: bool,
+}
+
+/// Returns the change over the days; none below two days. `constants`: how many are looked at on the machine.
+#[must_use]
+pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
+    let first = days.iter().map(|(day, _)| *day).min()?;
+    let at = |day: Day| (day - first) as f64 / YEAR;
+    let weight = |it: &Estimate| it.se.powi(-2);
+    let sum: f64 = days.iter().map(|(_, it)| weight(it)).sum();
+    let mean = |of: &dyn Fn(&(Day, Estimate)) -> f64| {
+        days.iter().map(|it| weight(&it.1) * of(it)).sum::<f64>() / sum
+    };
+    let (mean_t, mean_v) = (mean(&|it| at(it.0)), mean(&|it| it.1.value));
+    let spread: f64 = days.iter().map(|(day, it)| weight(it) * (at(*day) - mean_t).powi(2)).sum();
+    if spread <= 0.0 {
+        return None;
+    }
+    let products =
+        days.iter().map(|(day, it)| weight(it) * (at(*day) - mean_t) * (it.value - mean_v));
+    let per_year = products.sum::<f64>() / spread;
+    let residual = |(day, it): &(Day, Estimate)| it.value - mean_v - per_year * (at(*day) - mean_t);
+    let squares: f64 = days.iter().map(|it| weight(&it.1) * residual(it).powi(2)).sum();
+    let freedom = days.len() as f64 - 2.0;
+    let birge = if freedom > 0.0 { squares / freedom } else { 0.0 };
+    let se = (birge.max(1.0) / spread).sqrt();
+    let quantile = |two_sided: f64| match birge > 1.0 {
+        true => t_quantile(1.0 - 0.5 * two_sided, freedom),
+        // The normal distribution.
+        false => t_quantile(1.0 - 0.5 * two_sided, 1e6),
+    };
+    let half = quantile(0.05).max(Z95) * se;
+    let level = LEVEL / constants.max(1) as f64;
+    Some(Drift {
+        per_year,
+        ci95: [per_year - half, per_year + half],
+        is_certain: per_year.abs() > quantile(level) * se,
+    })
+}
+
+/// Returns one value for all days: the newest where the constant changes, else the mean, with an error that covers
+/// their scatter.
+#[must_use]
+pub fn present(days: &[(Option<Day>, Estimate)], drift: Option<Drift>) -> Option<Estimate> {
+    let newest = days.iter().max_by_key(|(day, _)| *day).map(|(_, it)| *it)?;
+    if drift.is_some_and(|it| it.is_certain) {
+        return Some(newest);
+    }
+    let sum: f64 = days.iter().map(|(_, it)| it.se.powi(-2)).sum();
+    let value = days.iter().map(|(_, it)| it.value / it.se.powi(2)).sum::<f64>() / sum;
+    let squares: f64 = days.iter().map(|(_, it)| ((it.value - value) / it.se).powi(2)).sum();
+    let birge = (squares / (days.len() as f64 - 1.0).max(1.0)).max(1.0);
+    Some(Estimate { value, se: (birge / sum).sqrt() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn value(value: f64) -> Estimate {
+        Estimate { value, se: 0.1 }
+    }
+
+    #[test]
+    fn a_change_beyond_the_errors_is_found_and_one_within_them_is_not() {
+        let year = 365;
+        let grows = [(0, value(1.0)), (year, value(2.0)), (2 * year, value(3.0))];
+        let found = drift(&grows, 1).expect("three days");
+        assert!((found.per_year - 1.0).abs() < 1e-3 && found.is_certain, "{found:?}");
+        let stays = [(0, value(1.0)), (year, value(1.15))];
+        assert!(!drift(&stays, 1).expect("two days").is_certain);
+        assert_eq!(drift(&[(7, value(1.0)), (7, value(2.0))], 1), None, "one day");
+    }
+
+    #[test]
+    fn a_machine_that_drifts_is_as_it_was_last_and_another_is_the_mean() {
+        let days = [(Some(0), value(1.0)), (Some(365), value(2.0))];
+        let drifting = drift(&[(0, value(1.0)), (365, value(2.0))], 1);
+        assert_eq!(present(&days, drifting), Some(value(2.0)));
+        let mean = present(&days, None).expect("two values");
+        assert!((mean.value - 1.5).abs() < 1e-12 && mean.se > 0.3, "{mean:?}");
+    }
+}

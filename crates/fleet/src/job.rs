@@ -1,0 +1,290 @@
+//! A job: the files of one diagnosis and what is asked of it, under an identifier that follows from its content.
+
+use std::{fmt, fs, io, path::Path};
+
+use serde::{Deserialize, Serialize};
+
+use crate::store::{CRC, Store, checksum};
+
+/// A file of a job.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobFile {
+    /// Its path as the user gave it.
+    pub path: String,
+    /// Its name in the folder of the job.
+    pub stored: String,
+    /// The CRC-64 of its content.
+    pub crc64: String,
+}
+
+/// What is asked of the diagnosis, as the options of `trueup diagnose`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Request {
+    /// What to compare, where the runs measure several quantities.
+    pub quantity: Option<String>,
+    /// The size of an error that matters, in µm RMS.
+    pub matters_um: Option<f64>,
+    /// The uncertainty of the measuring instrument, in µm (95 %).
+    pub instrument_um: Option<f64>,
+    /// True if the CNC is known to apply the offset once.
+    pub applied_once: bool,
+    /// Keys and columns whose impossible values the user accepts.
+    pub accept: Vec<String>,
+}
+
+/// A diagnosis to be made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Job {
+    /// The version of this form.
+    pub schema: u32,
+    /// The machine: its serial number, or what the user calls it.
+    pub machine: String,
+    /// The day of the record, as 2026-11-22.
+    pub date: Option<String>,
+    /// The machine file.
+    pub machine_file: JobFile,
+    /// The runs.
+    pub runs: Vec<JobFile>,
+    /// Runs with the bridge disengaged.
+    pub off: Vec<JobFile>,
+    /// Runs that nothing is fitted to.
+    pub holdout: Vec<JobFile>,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// A file that is submitted: its path as the user gave it, and its content.
+#[derive(Clone, Debug)]
+pub struct Content {
+    /// The path.
+    pub path: String,
+    /// The bytes.
+    pub bytes: Vec<u8>,
+}
+
+/// A job that is submitted.
+#[derive(Clone, Debug)]
+pub struct Submission {
+    /// The machine: its serial number, or what the user calls it.
+    pub machine: String,
+    /// The day of the record.
+    pub date: Option<String>,
+    /// The machine file.
+    pub machine_file: Content,
+    /// The runs.
+    pub runs: Vec<Content>,
+    /// Runs with the bridge disengaged.
+    pub off: Vec<Content>,
+    /// Runs that nothing is fitted to.
+    pub holdout: Vec<Content>,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// A job in the folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Submitted {
+    /// Its identifier.
+    pub id: String,
+    /// False if the same job was there already.
+    pub is_new: bool,
+    /// The day that the job was submitted with, `none` if without, where another one was given now.
+    pub other_date: Option<String>,
+}
+
+/// Why a stored job cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Damage {
+    /// A file is missing or cannot be read.
+    Unreadable(String, String),
+    /// `job.json` is not of this form.
+    Form(String),
+    /// A file differs from what was submitted.
+    Checksum(String),
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Unreadable(file, why) => write!(f, "{file} cannot be read: {why}"),
+            Self::Form(why) => write!(f, "job.json is damaged: {why}; submit the job again"),
+            Self::Checksum(file) => write!(
+                f,
+                "{file} differs from what was submitted (its checksum is wrong): remove the folder of the job, and \
+                 submit it again"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Damage {}
+
+impl Submission {
+    /// Returns the files in their order: the name that each has in the folder, and its content.
+    fn files(&self) -> Vec<(String, &Content)> {
+        let numbered = |kind: &'static str, all: &'_ [Content]| -> Vec<String> {
+            (1..=all.len()).map(|number| format!("{kind}-{number}.csv")).collect()
+        };
+        let mut files = vec![("machine.toml".to_string(), &self.machine_file)];
+        for (kind, all) in [("run", &self.runs), ("off", &self.off), ("holdout", &self.holdout)] {
+            files.extend(numbered(kind, all).into_iter().zip(all));
+        }
+        files
+    }
+
+    /// Returns the identifier: the CRC-64 of the machine's name, the request, and each file with its name and length. The
+    /// same content has the same identifier, wherever its files lie.
+    #[must_use]
+    pub fn id(&self) -> String {
+        let mut digest = CRC.digest();
+        let mut add = |bytes: &[u8]| {
+            digest.update(&(bytes.len() as u64).to_le_bytes());
+            digest.update(bytes);
+        };
+        add(self.machine.as_bytes());
+        add(serde_json::to_string(&self.request).unwrap_or_default().as_bytes());
+        for (name, content) in self.files() {
+            add(name.as_bytes());
+            add(&content.bytes);
+        }
+        format!("{:016x}", digest.finalize())
+    }
+
+    fn job(&self) -> Job {
+        let stored = |stored: String, content: &Content| JobFile {
+            path: content.path.clone(),
+            stored,
+            crc64: checksum(&content.bytes),
+        };
+        let mut files = self.files().into_iter().map(|(name, content)| stored(name, content));
+        let mut take = |count: usize| -> Vec<JobFile> { files.by_ref().take(count).collect() };
+        let machine_file = take(1).remove(0);
+        Job {
+            schema: 1,
+            machine: self.machine.clone(),
+            date: self.date.clone(),
+            machine_file,
+            runs: take(self.runs.len()),
+            off: take(self.off.len()),
+            holdout: take(self.holdout.len()),
+            request: self.request.clone(),
+        }
+    }
+
+    /// Puts the job into the folder. A job that failed before is tried again.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or has another job under this identifier.
+    pub fn submit(&self, store: &Store) -> io::Result<Submitted> {
+        let id = self.id();
+        let target = store.job(&id);
+        if !target.exists() {
+            let staged = store.staging(&format!("job-{id}-"))?;
+            let text = serde_json::to_string_pretty(&self.job())?;
+            fs::write(staged.path().join("job.json"), text + "\n")?;
+            for (name, content) in self.files() {
+                fs::write(staged.path().join(name), &content.bytes)?;
+            }
+            if store.publish(staged, &target)? {
+                return Ok(Submitted { id, is_new: true, other_date: None });
+            }
+        }
+        let there = Job::read(store, &id).map_err(io::Error::other)?;
+        if there.content() != self.job().content() {
+            let why = format!("{}: holds another job", target.display());
+            return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
+        }
+        fs::remove_file(store.failed(&id)).or_else(crate::store::ignore_missing)?;
+        let is_other = self.date.is_some() && self.date != there.date;
+        let other_date = is_other.then(|| there.date.unwrap_or_else(|| "none".into()));
+        Ok(Submitted { id, is_new: false, other_date })
+    }
+}
+
+impl Job {
+    /// Reads a job of the folder.
+    ///
+    /// # Errors
+    /// It is missing or damaged.
+    pub fn read(store: &Store, id: &str) -> Result<Self, Damage> {
+        let text = fs::read_to_string(store.job(id).join("job.json"))
+            .map_err(|error| Damage::Unreadable("job.json".into(), error.to_string()))?;
+        serde_json::from_str(&text).map_err(|error| Damage::Form(error.to_string()))
+    }
+
+    /// Returns what the identifier is made of.
+    fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+        let files =
+            [std::slice::from_ref(&self.machine_file), &self.runs, &self.off, &self.holdout];
+        let files = files.into_iter().flatten().map(|it| (it.stored.as_str(), it.crc64.as_str()));
+        (&self.machine, &self.request, files.collect())
+    }
+
+    /// Reads a file of the job, and compares it with what was submitted.
+    ///
+    /// # Errors
+    /// It is missing or damaged.
+    pub fn bytes(&self, folder: &Path, file: &JobFile) -> Result<Vec<u8>, Damage> {
+        let bytes = fs::read(folder.join(&file.stored))
+            .map_err(|error| Damage::Unreadable(file.stored.clone(), error.to_string()))?;
+        if checksum(&bytes) != file.crc64 {
+            return Err(Damage::Checksum(file.stored.clone()));
+        }
+        Ok(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn submission(machine: &str, run: &[u8]) -> Submission {
+        let content = |path: &str, bytes: &[u8]| Content { path: path.into(), bytes: bytes.into() };
+        Submission {
+            machine: machine.into(),
+            date: None,
+            machine_file: content("m.toml", b"[machine]"),
+            runs: vec![content("r.csv", run)],
+            off: Vec::new(),
+            holdout: Vec::new(),
+            request: Request::default(),
+        }
+    }
+
+    #[test]
+    fn the_same_content_is_one_job_and_another_is_another() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let store = Store::create(folder.path()).expect("it is made");
+        let first = submission("a", b"1").submit(&store).expect("it is written");
+        let mut again = submission("a", b"1");
+        again.runs[0].path = "elsewhere/r.csv".into();
+        let again = again.submit(&store).expect("it is there");
+        assert!(first.is_new && !again.is_new);
+        assert_eq!(first.id, again.id);
+        for other in [submission("b", b"1"), submission("a", b"2")] {
+            assert_ne!(other.submit(&store).expect("it is written").id, first.id);
+        }
+        assert_eq!(store.ids().expect("it is read").len(), 3);
+    }
+
+    #[test]
+    fn a_run_is_not_taken_for_a_hold_out() {
+        let mut moved = submission("a", b"1");
+        moved.holdout = moved.runs.clone();
+        let mut twice = submission("a", b"1");
+        twice.runs.push(twice.runs[0].clone());
+        assert_ne!(moved.id(), twice.id());
+    }
+
+    #[test]
+    fn a_flipped_bit_in_a_stored_run_is_found() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let store = Store::create(folder.path()).expect("it is made");
+        let id = submission("a", b"1").submit(&store).expect("it is written").id;
+        let job = Job::read(&store, &id).expect("a job");
+        assert_eq!(job.bytes(&store.job(&id), &job.runs[0]).expect("it is read"), b"1");
+        fs::write(store.job(&id).join("run-1.csv"), b"3").expect("it is written");
+        let found = job.bytes(&store.job(&id), &job.runs[0]);
+        assert_eq!(found, Err(Damage::Checksum("run-1.csv".into())));
+    }
+}

@@ -1,0 +1,156 @@
+//! Leases: which worker has a job, and when another one may take it.
+//!
+//! The file `leases/ID.N` says that the job was taken for the N-th time; its owner rewrites it with a counter while it
+//! works. A worker takes a job by creating the next file, which the file system lets only one succeed in. A lease has
+//! ended when its counter has not moved for the length of a lease *as this worker has watched it*: no clock of another
+//! computer takes part, and none that is set back. A file is never taken over, so that a worker that stood still and
+//! goes on disturbs nothing: it works on an older number, and the first result stays.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    fs::{self, OpenOptions},
+    io::{self, Write as _},
+    path::PathBuf,
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use crate::store::{Store, ignore_missing};
+
+/// Content of a lease whose owner has given it back.
+const RELEASED: &str = "released";
+
+/// The newest lease of each job.
+pub(crate) type Newest = BTreeMap<String, u64>;
+
+/// What a worker has seen of the leases of others.
+#[derive(Debug)]
+pub(crate) struct Watch {
+    length: Duration,
+    seen: Mutex<HashMap<PathBuf, (String, Instant)>>,
+}
+
+/// A lease that this worker holds.
+#[derive(Debug)]
+pub(crate) struct Lease {
+    path: PathBuf,
+    worker: String,
+    beats: u64,
+}
+
+impl Watch {
+    pub(crate) fn new(length: Duration) -> Self {
+        Self { length, seen: Mutex::default() }
+    }
+
+    /// Returns whether a lease has ended at `now`.
+    pub(crate) fn has_ended(&self, path: PathBuf, now: Instant) -> bool {
+        let Ok(content) = fs::read_to_string(&path) else { return false };
+        if content == RELEASED {
+            return true;
+        }
+        let mut seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
+        let entry = seen.entry(path).or_insert_with(|| (content.clone(), now));
+        if entry.0 != content {
+            *entry = (content, now);
+        }
+        now.saturating_duration_since(entry.1) >= self.length
+    }
+}
+
+/// Returns whether a lease was given back.
+pub(crate) fn is_released(store: &Store, id: &str, number: u64) -> bool {
+    fs::read_to_string(path(store, id, number)).is_ok_and(|content| content == RELEASED)
+}
+
+/// Returns the newest lease of each job.
+pub(crate) fn newest(store: &Store) -> io::Result<Newest> {
+    let mut newest = Newest::new();
+    for name in store.list("leases")? {
+        if let Some((id, number)) = parsed(&name) {
+            let known = newest.entry(id.to_string()).or_default();
+            *known = number.max(*known);
+        }
+    }
+    Ok(newest)
+}
+
+fn parsed(name: &str) -> Option<(&str, u64)> {
+    let (id, number) = name.rsplit_once('.')?;
+    Some((id, number.parse().ok()?))
+}
+
+/// Returns the file of a lease.
+pub(crate) fn path(store: &Store, id: &str, number: u64) -> PathBuf {
+    store.lease(&format!("{id}.{number}"))
+}
+
+/// Removes the leases of a job that has ended.
+pub(crate) fn clear(store: &Store, id: &str) -> io::Result<()> {
+    for name in store.list("leases")? {
+        if parsed(&name).is_some_and(|(of, _)| of == id) {
+            fs::remove_file(store.lease(&name)).or_else(ignore_missing)?;
+        }
+    }
+    Ok(())
+}
+
+impl Lease {
+    /// Takes a job for the `number`-th time; none where another worker was faster.
+    pub(crate) fn take(
+        store: &Store,
+        id: &str,
+        number: u64,
+        worker: &str,
+    ) -> io::Result<Option<Self>> {
+        let path = path(store, id, number);
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(mut file) => {
+                file.write_all(format!("{worker} 0").as_bytes())?;
+                Ok(Some(Self { path, worker: worker.into(), beats: 0 }))
+            }
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Shows that the worker is alive. A lease that cannot be written ends, and another worker does the job too: the
+    /// first result stays.
+    pub(crate) fn beat(&mut self) {
+        self.beats += 1;
+        let content = format!("{} {}", self.worker, self.beats);
+        // Not `create`: what was cleared stays so.
+        let file = OpenOptions::new().write(true).truncate(true).open(&self.path);
+        let _ = file.and_then(|mut file| file.write_all(content.as_bytes()));
+    }
+
+    /// Gives the job back, so that another worker need not wait for the end of the lease.
+    pub(crate) fn release(&self) {
+        // Else it ends by itself.
+        let _ = fs::write(&self.path, RELEASED);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_of_two_workers_gets_a_job_and_a_still_counter_ends_its_lease() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let store = Store::create(folder.path()).expect("it is made");
+        let take = |number| Lease::take(&store, "a", number, "w").expect("it is written");
+        let mut first = take(1).expect("nobody has it");
+        assert!(take(1).is_none());
+        let watch = Watch::new(Duration::from_secs(10));
+        let start = Instant::now();
+        let ended = |s| watch.has_ended(path(&store, "a", 1), start + Duration::from_secs(s));
+        assert!(!ended(0) && !ended(9));
+        first.beat();
+        assert!(!ended(15) && !ended(24) && ended(25));
+        assert!(take(2).is_some());
+        assert_eq!(newest(&store).expect("it is read").get("a"), Some(&2));
+        first.release();
+        assert!(ended(25), "what was given back is free at once");
+    }
+}

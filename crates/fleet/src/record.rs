@@ -1,0 +1,41 @@
+//! A result of one machine as the series takes it, and what is open about a constant of it.
+
+use trueup_compare::dated::Day;
+
+use crate::{constants::Found, pool::Estimate};
+
+/// A result of one machine.
+#[derive(Clone, Debug)]
+pub struct Record {
+    /// The machine.
+    pub machine: String,
+    /// The day of the record.
+    pub day: Option<Day>,
+    /// The verdict.
+    pub verdict: String,
+    /// What the machine file believes of what was measured: a constant is a deviation from that, and comparable only
+    /// where it is the same.
+    pub belief: String,
+    /// The findings of the diagnosis.
+    pub found: Vec<Found>,
+    /// Causes of other machines, fitted to this record.
+    pub fitted: Vec<Found>,
+}
+
+/// A constant on all machines, with what the next measurement would change.
+pub(crate) struct Pooled<'r> {
+    pub name: String,
+    pub parameter: &'r str,
+    pub open: Vec<Open<'r>>,
+}
+
+/// What is open about a constant of one machine.
+pub(crate) struct Open<'r> {
+    pub machine: &'r str,
+    /// The value with the help of the others, and its error.
+    pub now: Estimate,
+    /// The error of one record.
+    pub record_se: f64,
+    /// What its cause explains, RMS in µm.
+    pub explains_um: f64,
+}

@@ -1,0 +1,249 @@
+//! What the results of all machines say together.
+//!
+//! ```text
+//! results ─► constants by machine ─► over its days (drift) ─► compared with the others (odd)
+//!                                                           ─► pooled over those that are not ─► next measurement
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use trueup_compare::dated::{Day, text_of};
+
+use crate::{
+    causes,
+    constants::is_by_ratios,
+    drift::{Drift, drift, present},
+    next,
+    odd::{self, compare, holm},
+    pool::{Estimate, Z95, pool},
+    record::{Open, Pooled, Record},
+    report::{Compared, Constant, Drifting, Interval, Machine, Member, Series},
+};
+
+/// A constant: what the machine file believes, the finding, and the parameter.
+type Key<'r> = (&'r str, &'r str, &'r str);
+
+/// What one record says of a constant.
+#[derive(Clone, Copy, Debug)]
+struct Reading {
+    day: Option<Day>,
+    estimate: Estimate,
+    claimed: bool,
+    is_fitted: bool,
+    explains_um: f64,
+}
+
+/// A constant on one machine, over its records.
+struct OnMachine<'r> {
+    machine: &'r str,
+    present: Estimate,
+    drift: Option<(usize, Drift)>,
+    last: Reading,
+    claimed: bool,
+    is_fitted: bool,
+}
+
+/// Returns what the records say together; `notes`: what is known of them already.
+#[must_use]
+pub fn series(records: &[Record], notes: Vec<String>) -> Series {
+    let constants = by_constant(records);
+    let beliefs: BTreeSet<&str> = records.iter().map(|it| it.belief.as_str()).collect();
+    let mut compared_on: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut known_on: BTreeMap<&str, usize> = BTreeMap::new();
+    for machines in constants.values() {
+        for machine in machines.keys() {
+            *known_on.entry(machine).or_default() += 1;
+            *compared_on.entry(machine).or_default() +=
+                usize::from(machines.len() >= crate::pool::MIN_MACHINES);
+        }
+    }
+    let mut all = Vec::new();
+    let mut drifts = Vec::new();
+    let mut pooled = Vec::new();
+    for ((belief, finding, parameter), machines) in &constants {
+        let number = beliefs.iter().position(|it| it == belief).unwrap_or(0) + 1;
+        let group =
+            if beliefs.len() > 1 { format!(" (machine files {number})") } else { String::new() };
+        let name = format!("{finding} {parameter}{group}");
+        let members = machines.iter();
+        let members: Vec<OnMachine<'_>> = members
+            .filter_map(|(machine, readings)| on_machine(machine, readings, known_on[*machine]))
+            .collect();
+        drifts.extend(members.iter().filter_map(|it| {
+            let (days, drift) = it.drift?;
+            Some(Drifting { machine: it.machine.into(), constant: name.clone(), days, drift })
+        }));
+        let most = members.iter().filter_map(|it| compared_on.get(it.machine)).max();
+        let (constant, open) = of_constant(&name, parameter, &members, most.copied().unwrap_or(1));
+        all.push(constant);
+        pooled.push(Pooled { name, parameter, open });
+    }
+    correct_for_number(&mut all);
+    let mut series = Series {
+        schema: 1,
+        machines: machines(records, &all, &drifts),
+        constants: all,
+        causes: causes::causes(records),
+        drifts,
+        next: next::next(&pooled, records),
+        notes,
+    };
+    if beliefs.len() > 1 {
+        series.notes.push(format!(
+            "The machine files believe {} different things of what was measured. Constants are deviations from a \
+             machine file: those of different files are not put together.",
+            beliefs.len()
+        ));
+    }
+    let undated = records.iter().filter(|it| it.day.is_none()).count();
+    if undated > 0 {
+        series.notes.push(format!(
+            "{undated} of {} records have no date: they say nothing of drift. Give --date, or a date like 2026-11-22 \
+             in the name of the run file.",
+            records.len()
+        ));
+    }
+    series
+}
+
+/// Returns each constant with its readings on each machine. A fit for the series counts where the machine's own diagnoses
+/// did not find the cause.
+fn by_constant(records: &[Record]) -> BTreeMap<Key<'_>, BTreeMap<&str, Vec<Reading>>> {
+    let mut all: BTreeMap<Key<'_>, BTreeMap<&str, Vec<Reading>>> = BTreeMap::new();
+    for record in records {
+        let own = record.found.iter().map(|it| (it, false));
+        let fitted = record.fitted.iter().map(|it| (it, true));
+        for (found, is_fitted) in own.chain(fitted) {
+            for constant in &found.constants {
+                let key =
+                    (record.belief.as_str(), found.name.as_str(), constant.parameter.as_str());
+                let reading = Reading {
+                    day: record.day,
+                    estimate: constant.estimate,
+                    claimed: found.claimed,
+                    is_fitted,
+                    explains_um: found.explains_um,
+                };
+                all.entry(key).or_default().entry(&record.machine).or_default().push(reading);
+            }
+        }
+    }
+    all
+}
+
+fn on_machine<'r>(
+    machine: &'r str,
+    readings: &[Reading],
+    constants: usize,
+) -> Option<OnMachine<'r>> {
+    let dated: Vec<(Day, Estimate)> =
+        readings.iter().filter_map(|it| Some((it.day?, it.estimate))).collect();
+    let days: BTreeSet<Day> = dated.iter().map(|(day, _)| *day).collect();
+    let drift = drift(&dated, constants);
+    let all: Vec<(Option<Day>, Estimate)> =
+        readings.iter().map(|it| (it.day, it.estimate)).collect();
+    Some(OnMachine {
+        machine,
+        present: present(&all, drift)?,
+        drift: drift.map(|it| (days.len(), it)),
+        last: *readings.iter().max_by_key(|it| it.day)?,
+        claimed: readings.iter().any(|it| it.claimed),
+        is_fitted: readings.iter().all(|it| it.is_fitted),
+    })
+}
+
+/// Returns a constant over its machines, and what is open about it on each.
+fn of_constant<'r>(
+    name: &str,
+    parameter: &str,
+    members: &[OnMachine<'r>],
+    constants: usize,
+) -> (Constant, Vec<Open<'r>>) {
+    let values: Vec<Estimate> = members.iter().map(|it| it.present).collect();
+    let compared = compare(&values, constants);
+    let is_odd = |index: usize| compared.as_ref().is_some_and(|all| all[index].is_odd);
+    let healthy: Vec<usize> = (0..values.len()).filter(|index| !is_odd(*index)).collect();
+    let of_healthy: Vec<Estimate> = healthy.iter().map(|index| values[*index]).collect();
+    let together = pool(&of_healthy).or_else(|| pool(&values)).expect("a constant has a machine");
+    let by_ratios = is_by_ratios(parameter);
+    let interval = |it: Estimate| {
+        let [value, low, high] = [it.value, it.ci95()[0], it.ci95()[1]]
+            .map(|value| if by_ratios { value.exp() } else { value });
+        Interval { value, ci95: [low, high] }
+    };
+    let mut list = Vec::new();
+    let mut open = Vec::new();
+    for (index, it) in members.iter().enumerate() {
+        let place = healthy.iter().position(|there| *there == index);
+        let (shrunk, weight) = match place {
+            Some(place) if place < together.shrunk.len() => {
+                (together.shrunk[place], together.weight[place])
+            }
+            _ => (it.present, 0.0),
+        };
+        open.push(Open {
+            machine: it.machine,
+            now: shrunk,
+            record_se: it.last.estimate.se,
+            explains_um: it.last.explains_um,
+        });
+        list.push(Member {
+            machine: it.machine.into(),
+            claimed: it.claimed,
+            fitted_for_series: it.is_fitted,
+            own: interval(it.present),
+            shrunk: interval(shrunk),
+            weight,
+            compared: compared.as_ref().map(|all| {
+                let odd::Compared { predicted, t, p, is_odd } = all[index];
+                let predicted = if by_ratios { predicted.exp() } else { predicted };
+                Compared { predicted, t, p, p_series: p, odd: is_odd }
+            }),
+        });
+    }
+    let spread = together.spread;
+    let ratio = |it: f64| if by_ratios { it.exp() } else { it };
+    let ends = [(spread.value - Z95 * spread.se).max(0.0), spread.value + Z95 * spread.se];
+    let constant = Constant {
+        name: name.into(),
+        parameter: parameter.into(),
+        by_ratios,
+        machines: members.len(),
+        mean: interval(together.mean),
+        spread: Interval { value: ratio(spread.value), ci95: ends.map(ratio) },
+        values: list,
+    };
+    (constant, open)
+}
+
+/// Corrects the probabilities for the number of machines and constants.
+fn correct_for_number(constants: &mut [Constant]) {
+    let mut all: Vec<&mut Compared> = constants
+        .iter_mut()
+        .flat_map(|it| it.values.iter_mut().filter_map(|it| it.compared.as_mut()))
+        .collect();
+    let p: Vec<f64> = all.iter().map(|it| it.p).collect();
+    all.iter_mut().zip(holm(&p)).for_each(|(it, p)| it.p_series = p);
+}
+
+fn machines(records: &[Record], constants: &[Constant], drifts: &[Drifting]) -> Vec<Machine> {
+    let names: BTreeSet<&str> = records.iter().map(|it| it.machine.as_str()).collect();
+    let of = |name: &str| {
+        let own: Vec<&Record> = records.iter().filter(|it| it.machine == name).collect();
+        let newest = own.iter().max_by_key(|it| it.day);
+        let is_odd = |it: &&Constant| {
+            let mut members = it.values.iter().filter(|it| it.machine == name);
+            members.any(|it| it.compared.is_some_and(|it| it.odd))
+        };
+        let changes = drifts.iter().filter(|it| it.machine == name && it.drift.is_certain);
+        Machine {
+            machine: name.into(),
+            results: own.len(),
+            newest: newest.and_then(|it| it.day).map(text_of),
+            verdict: newest.map(|it| it.verdict.clone()).unwrap_or_default(),
+            odd: constants.iter().filter(is_odd).map(|it| it.name.clone()).collect(),
+            drifting: changes.map(|it| it.constant.clone()).collect(),
+        }
+    };
+    names.into_iter().map(of).collect()
+}

@@ -1,0 +1,367 @@
+//! Workers: threads that take jobs, do them, and publish one result each.
+//!
+//! ```text
+//! waiting ─► lease ─► diagnosis in tmp/ ─► results/ID or failed/ID.json ─► lease removed
+//! ```
+//!
+//! A worker that is killed anywhere leaves a lease that ends, and files below `tmp`. A job that is done twice has one
+//! result: the folder of the second cannot take the name.
+
+use std::{
+    fs, io,
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::Path,
+    process,
+    sync::{
+        Mutex, PoisonError,
+        atomic::{AtomicUsize, Ordering},
+        mpsc::{RecvTimeoutError, channel},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use serde::Serialize;
+use serde_json::json;
+use trueup_numerics::parallel::on_one_core;
+
+use crate::{
+    job::{Job, JobFile},
+    lease::{self, Lease, Watch},
+    result::{Done, Named},
+    store::{Store, checksum},
+};
+
+/// The longest pause before a worker looks for jobs again.
+const PAUSE: Duration = Duration::from_millis(500);
+/// How often a lease is renewed in its length.
+const BEATS: u32 = 4;
+
+/// A job with the content of its files, as the worker has read it.
+#[derive(Debug)]
+pub struct Loaded {
+    /// The job.
+    pub job: Job,
+    /// The machine file.
+    pub machine_file: Vec<u8>,
+    /// The runs.
+    pub runs: Vec<Vec<u8>>,
+    /// Runs with the bridge disengaged.
+    pub off: Vec<Vec<u8>>,
+    /// Runs that nothing is fitted to.
+    pub holdout: Vec<Vec<u8>>,
+}
+
+/// Why a diagnosis was not made.
+#[derive(Debug)]
+pub enum Failure {
+    /// The job cannot be done, by any worker: the reason.
+    Job(String),
+    /// This worker cannot: the job waits for another one.
+    Worker(String),
+}
+
+/// What a diagnosis hands to the worker, which writes it: the names and the content of the files.
+pub type Files = Vec<(&'static str, Vec<u8>)>;
+
+/// Makes the diagnosis of a job whose result will stand in the folder.
+pub type Diagnose<'d> = dyn Fn(&Loaded, &Path) -> Result<Files, Failure> + Sync + 'd;
+
+/// How workers work.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Threads, each with a job of its own.
+    pub threads: usize,
+    /// The length of a lease.
+    pub lease: Duration,
+    /// True if the workers end once every job has ended.
+    pub until_empty: bool,
+}
+
+/// What the workers of this process have done.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Tally {
+    /// Jobs with a result of theirs.
+    pub done: usize,
+    /// Jobs that failed.
+    pub failed: usize,
+}
+
+/// Works until every job has ended, or for ever.
+///
+/// # Errors
+/// The folder cannot be read or written, or the diagnosis says that this worker cannot go on.
+pub fn work(store: &Store, options: Options, diagnose: &Diagnose<'_>) -> io::Result<Tally> {
+    let team = Team {
+        store,
+        options,
+        diagnose,
+        watch: Watch::new(options.lease),
+        queue: Mutex::default(),
+        done: AtomicUsize::new(0),
+        failed: AtomicUsize::new(0),
+    };
+    let errors: Vec<io::Error> = thread::scope(|scope| {
+        let start = |number| {
+            let team = &team;
+            scope.spawn(move || team.run(number))
+        };
+        let threads: Vec<_> = (0..options.threads.max(1)).map(start).collect();
+        let ended = threads.into_iter().map(|it| match it.join() {
+            Ok(ended) => ended,
+            Err(_) => Err(io::Error::other("a thread of the worker has panicked")),
+        });
+        ended.filter_map(Result::err).collect()
+    });
+    let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
+    match errors.into_iter().next() {
+        Some(error) => Err(error),
+        None => Ok(Tally { done: count(&team.done), failed: count(&team.failed) }),
+    }
+}
+
+/// The threads of one process.
+struct Team<'t> {
+    store: &'t Store,
+    options: Options,
+    diagnose: &'t Diagnose<'t>,
+    watch: Watch,
+    /// Jobs that waited when they were last looked for, with the number of their next lease.
+    queue: Mutex<Vec<(String, u64)>>,
+    done: AtomicUsize,
+    failed: AtomicUsize,
+}
+
+/// What there is to do.
+enum Next {
+    Job(String, Lease),
+    /// Other workers have what is left.
+    Wait,
+    /// Every job has ended.
+    Nothing,
+}
+
+impl Team<'_> {
+    fn run(&self, number: usize) -> io::Result<()> {
+        let worker = format!("{}-{number}", process::id());
+        loop {
+            match self.next(&worker)? {
+                Next::Job(id, lease) => self.process(&id, lease)?,
+                Next::Nothing if self.options.until_empty => return Ok(()),
+                Next::Wait | Next::Nothing => {
+                    thread::sleep(PAUSE.min(self.options.lease / BEATS));
+                }
+            }
+        }
+    }
+
+    /// Takes the next job that waits.
+    fn next(&self, worker: &str) -> io::Result<Next> {
+        let mut queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut is_fresh = false;
+        loop {
+            while let Some((id, number)) = queue.pop() {
+                if self.store.is_ended(&id) {
+                    continue;
+                }
+                let Some(lease) = Lease::take(self.store, &id, number, worker)? else { continue };
+                // It may have ended between the two.
+                if self.store.is_ended(&id) {
+                    lease::clear(self.store, &id)?;
+                    continue;
+                }
+                return Ok(Next::Job(id, lease));
+            }
+            if is_fresh {
+                return Ok(Next::Wait);
+            }
+            let open;
+            (*queue, open) = self.waiting()?;
+            is_fresh = true;
+            if open == 0 {
+                return Ok(Next::Nothing);
+            }
+        }
+    }
+
+    /// Returns the jobs that wait, in an order of this process, and how many have not ended.
+    fn waiting(&self) -> io::Result<(Vec<(String, u64)>, usize)> {
+        let leases = lease::newest(self.store)?;
+        let now = Instant::now();
+        let open = self.store.ids()?.into_iter().filter(|id| !self.store.is_ended(id));
+        let open: Vec<String> = open.collect();
+        // What a worker has left that was killed after its result.
+        for id in leases.keys().filter(|id| self.store.is_ended(id)) {
+            self.store.clear_staging(&format!("result-{id}-"))?;
+            lease::clear(self.store, id)?;
+        }
+        let waits = |id: &String| match leases.get(id) {
+            None => Some((id.clone(), 1)),
+            Some(number) => self
+                .watch
+                .has_ended(lease::path(self.store, id, *number), now)
+                .then(|| (id.clone(), number + 1)),
+        };
+        let mut waiting: Vec<(String, u64)> = open.iter().filter_map(waits).collect();
+        // Workers that begin at different places seldom reach for the same job.
+        if !waiting.is_empty() {
+            let start = process::id() as usize % waiting.len();
+            waiting.rotate_left(start);
+        }
+        Ok((waiting, open.len()))
+    }
+
+    /// Does a job while its lease is renewed.
+    fn process(&self, id: &str, mut lease: Lease) -> io::Result<()> {
+        let (ended, end) = channel::<()>();
+        let renewed = self.options.lease / BEATS;
+        let done = thread::scope(|scope| {
+            let lease = &mut lease;
+            scope.spawn(move || {
+                while end.recv_timeout(renewed) == Err(RecvTimeoutError::Timeout) {
+                    lease.beat();
+                }
+            });
+            let done = self.attempt(id);
+            drop(ended);
+            done
+        });
+        match done {
+            Ok(()) => {
+                self.store.clear_staging(&format!("result-{id}-"))?;
+                lease::clear(self.store, id)
+            }
+            Err(error) => {
+                lease.release();
+                Err(error)
+            }
+        }
+    }
+
+    fn attempt(&self, id: &str) -> io::Result<()> {
+        let made = loaded(self.store, id).and_then(|loaded| {
+            let out = self.store.result(id).join("out");
+            let diagnose = || on_one_core(|| (self.diagnose)(&loaded, &out));
+            // A job that breaks the program must not take the others with it.
+            let made = catch_unwind(AssertUnwindSafe(diagnose)).unwrap_or_else(|_| {
+                let why =
+                    "the program has failed on these files: report it with the folder of the job";
+                Err(Failure::Job(why.into()))
+            });
+            made.map(|files| (loaded.job, files))
+        });
+        match made {
+            Ok((job, files)) => {
+                if publish(self.store, id, &job, &files)? {
+                    self.done.fetch_add(1, Ordering::Relaxed);
+                }
+                Ok(())
+            }
+            Err(Failure::Job(reason)) => {
+                let machine = Job::read(self.store, id).map(|job| job.machine).ok();
+                let text = json!({"schema": 1, "id": id, "machine": machine, "reason": reason});
+                let text = serde_json::to_string_pretty(&text)? + "\n";
+                self.store.publish_file(&self.store.failed(id), &text)?;
+                self.failed.fetch_add(1, Ordering::Relaxed);
+                Ok(())
+            }
+            Err(Failure::Worker(reason)) => Err(io::Error::other(reason)),
+        }
+    }
+}
+
+/// Reads a job with its files.
+fn loaded(store: &Store, id: &str) -> Result<Loaded, Failure> {
+    let folder = store.job(id);
+    let damage = |damage: crate::job::Damage| Failure::Job(format!("jobs/{id}: {damage}"));
+    let job = Job::read(store, id).map_err(damage)?;
+    let bytes = |file: &JobFile| job.bytes(&folder, file).map_err(damage);
+    let all = |files: &[JobFile]| files.iter().map(bytes).collect::<Result<Vec<_>, _>>();
+    Ok(Loaded {
+        machine_file: bytes(&job.machine_file)?,
+        runs: all(&job.runs)?,
+        off: all(&job.off)?,
+        holdout: all(&job.holdout)?,
+        job,
+    })
+}
+
+/// Publishes the result of a job, unless it has one. Returns whether it was the first.
+fn publish(store: &Store, id: &str, job: &Job, files: &Files) -> io::Result<bool> {
+    let staged = store.staging(&format!("result-{id}-"))?;
+    let out = staged.path().join("out");
+    fs::create_dir(&out)?;
+    for (name, content) in files {
+        fs::write(out.join(name), content)?;
+    }
+    let named = |(name, content): &(&'static str, Vec<u8>)| Named {
+        name: (*name).into(),
+        crc64: checksum(content),
+    };
+    let done = Done {
+        schema: 1,
+        id: id.into(),
+        machine: job.machine.clone(),
+        date: job.date.clone(),
+        files: files.iter().map(named).collect(),
+    };
+    fs::write(staged.path().join("result.json"), serde_json::to_string_pretty(&done)? + "\n")?;
+    store.publish(staged, &store.result(id))
+}
+
+/// Where the jobs of a folder stand.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Status {
+    /// Jobs that no worker has.
+    pub waiting: Vec<Entry>,
+    /// Jobs that a worker has, or had when it ended.
+    pub running: Vec<Entry>,
+    /// Jobs with a result.
+    pub done: Vec<Entry>,
+    /// Jobs that cannot be done.
+    pub failed: Vec<Entry>,
+}
+
+/// A job and how it stands.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Entry {
+    /// Its identifier.
+    pub id: String,
+    /// Its machine; empty where the job cannot be read.
+    pub machine: String,
+    /// How often a worker has taken it; above 1 some worker has ended before the job did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub taken: Option<u64>,
+    /// Why it has failed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+}
+
+/// Returns where the jobs of a folder stand.
+///
+/// # Errors
+/// The folder cannot be read.
+pub fn status(store: &Store) -> io::Result<Status> {
+    let leases = lease::newest(store)?;
+    let failed = store.list("failed")?;
+    let mut status = Status::default();
+    for id in store.ids()? {
+        let machine = Job::read(store, &id).map(|job| job.machine).unwrap_or_default();
+        let mut entry = Entry { id: id.clone(), machine, taken: None, reason: None };
+        if store.result(&id).exists() {
+            status.done.push(entry);
+        } else if failed.contains(&format!("{id}.json")) {
+            let text = fs::read_to_string(store.failed(&id)).unwrap_or_default();
+            let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
+            entry.reason = value["reason"].as_str().map(String::from);
+            status.failed.push(entry);
+        } else if let Some(taken) = leases.get(&id) {
+            entry.taken = Some(*taken);
+            let is_free = lease::is_released(store, &id, *taken);
+            if is_free { &mut status.waiting } else { &mut status.running }.push(entry);
+        } else {
+            status.waiting.push(entry);
+        }
+    }
+    Ok(status)
+}
