@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use trueup_compare::dated;
 use trueup_fleet::{
-    page, result, series,
+    page, record, result, series,
     store::Store,
     worker::{self, Entry, Options, Tally},
 };
@@ -198,10 +198,13 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     let store = open(&args.dir)?;
     let result::Results { whole, damaged } = result::read(&store)?;
     let mut notes = damaged;
-    let mut records = Vec::new();
+    let (mut records, mut ids) = (Vec::new(), Vec::new());
     for stored in &whole {
         match job::record(&store, stored) {
-            Ok(record) => records.push(record),
+            Ok(record) => {
+                records.push(record);
+                ids.push(stored.done.id.as_str());
+            }
             Err(why) => notes.push(format!("results/{}: {why}", stored.done.id)),
         }
     }
@@ -209,6 +212,19 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     if records.is_empty() {
         let rule = "has no result: trueup fleet worker makes them";
         return Err(UserError(format!("{}: {rule}", args.dir.display())).into());
+    }
+    let missing = record::missing(&records);
+    for ((id, record), wanted) in ids.iter().zip(&mut records).zip(&missing) {
+        if wanted.is_empty() {
+            continue;
+        }
+        match report::with_warnings(false, || job::fitted(&store, id, record, wanted)) {
+            Ok(fitted) => record.fitted = fitted,
+            Err(why) => {
+                report::warn(format_args!("results/{id}: {why}"));
+                notes.push(format!("results/{id}: {why}"));
+            }
+        }
     }
     let series = series::series(&records, notes);
     let json = serde_json::to_string_pretty(&series)?;

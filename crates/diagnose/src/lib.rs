@@ -35,6 +35,7 @@
 //! | `judge` | whether a term's name is claimed, and why not |
 //! | `answer`, `parameters`, `terms` | the answer, for scripts and for people |
 //! | `next` | the shortest run that tells open causes apart |
+//! | `named` | causes of other machines, fitted to the runs of this one |
 #![forbid(unsafe_code)]
 
 mod answer;
@@ -49,6 +50,7 @@ mod judge;
 mod kind;
 mod laws;
 mod model;
+mod named;
 mod next;
 mod outliers;
 mod parameters;
@@ -68,6 +70,7 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
+pub use named::{Named, NamedFit, fit_named};
 pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
 use trueup_machine::{
     BadInput, Machine, RunFile,

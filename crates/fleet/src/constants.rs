@@ -26,13 +26,24 @@ pub struct Constant {
     pub estimate: Estimate,
 }
 
+/// A cause, its column and its form.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Identity {
+    /// The cause.
+    pub cause: String,
+    /// Its column.
+    pub column: Option<String>,
+    /// Its form.
+    pub form: Option<String>,
+}
+
 /// A finding of a diagnosis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {
     /// Quantity, cause, and what else tells it from another finding: `dz extra-heat-path temp_bed_c`.
     pub name: String,
-    /// The cause alone.
-    pub cause: String,
+    /// What names it to the diagnosis of another machine; none where it is more than that: a range, or two columns.
+    pub identity: Option<Identity>,
     /// True if it is claimed.
     pub claimed: bool,
     /// What it explains, RMS in µm.
@@ -82,7 +93,7 @@ fn of_finding(quantity: &str, finding: &Value) -> Vec<Found> {
     let alternatives: Vec<String> = alternatives.map(|it| name_of(quantity, it)).collect();
     let one = |of: &Value, alternatives: Vec<String>| Found {
         name: name_of(quantity, of),
-        cause: text(of, "cause").to_string(),
+        identity: identity(of),
         claimed,
         explains_um: explained.max(0.0).sqrt(),
         constants: constants(&of["parameters"]),
@@ -94,6 +105,14 @@ fn of_finding(quantity: &str, finding: &Value) -> Vec<Found> {
     let mut all = vec![one(finding, alternatives)];
     all.extend(partners);
     all
+}
+
+fn identity(of: &Value) -> Option<Identity> {
+    let is_more = ["columns", "where", "times"].iter().any(|key| !of[key].is_null());
+    let owned = |key: &str| of[key].as_str().map(String::from);
+    let identity =
+        Identity { cause: owned("cause")?, column: owned("column"), form: owned("form") };
+    (!is_more).then_some(identity)
 }
 
 fn text<'v>(of: &'v Value, key: &str) -> &'v str {

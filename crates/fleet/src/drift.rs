@@ -1,8 +1,8 @@
 //! A constant of one machine over its days: does it change, and how fast.
 //!
 //! A line v = a + b·t by weighted least squares; the errors of the fits are known, so two days are enough. Where the
-//! values scatter more than their errors say, the interval grows as much (Birge 1932), with Student's t for the days
-//! that are left.
+//! values scatter around it more than their errors explain (χ² at 5 %), the interval grows as much (Birge 1932), with
+//! Student's t for the days that are left.
 
 use serde::Serialize;
 use trueup_compare::dated::Day;
@@ -48,13 +48,12 @@ pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
     let residual = |(day, it): &(Day, Estimate)| it.value - mean_v - per_year * (at(*day) - mean_t);
     let squares: f64 = days.iter().map(|it| weight(&it.1) * residual(it).powi(2)).sum();
     let freedom = days.len() as f64 - 2.0;
-    let birge = if freedom > 0.0 { squares / freedom } else { 0.0 };
-    let se = (birge.max(1.0) / spread).sqrt();
-    let quantile = |two_sided: f64| match birge > 1.0 {
-        true => t_quantile(1.0 - 0.5 * two_sided, freedom),
-        // The normal distribution.
-        false => t_quantile(1.0 - 0.5 * two_sided, 1e6),
-    };
+    let scatters = freedom > 0.0 && squares > chi_squared_95(freedom);
+    let birge = if scatters { squares / freedom } else { 1.0 };
+    let se = (birge / spread).sqrt();
+    // With known errors the normal distribution.
+    let freedom = if scatters { freedom } else { 1e6 };
+    let quantile = |two_sided: f64| t_quantile(1.0 - 0.5 * two_sided, freedom);
     let half = quantile(0.05).max(Z95) * se;
     let level = LEVEL / constants.max(1) as f64;
     Some(Drift {
@@ -62,6 +61,12 @@ pub fn drift(days: &[(Day, Estimate)], constants: usize) -> Option<Drift> {
         ci95: [per_year - half, per_year + half],
         is_certain: per_year.abs() > quantile(level) * se,
     })
+}
+
+/// Returns the 95 % quantile of χ² by Wilson and Hilferty (1931), within 3 %.
+fn chi_squared_95(freedom: f64) -> f64 {
+    let part = 2.0 / (9.0 * freedom);
+    freedom * (1.0 - part + 1.645 * part.sqrt()).powi(3)
 }
 
 /// Returns one value for all days: the newest where the constant changes, else the mean, with an error that covers
@@ -96,6 +101,16 @@ mod tests {
         let stays = [(0, value(1.0)), (year, value(1.15))];
         assert!(!drift(&stays, 1).expect("two days").is_certain);
         assert_eq!(drift(&[(7, value(1.0)), (7, value(2.0))], 1), None, "one day");
+    }
+
+    #[test]
+    fn what_scatters_beyond_its_errors_is_no_drift() {
+        let days = [(0, value(1.0)), (100, value(3.0)), (200, value(1.2)), (300, value(3.1))];
+        let found = drift(&days, 1).expect("four days");
+        assert!(!found.is_certain && found.ci95[0] < 0.0, "{found:?}");
+        for (freedom, exact) in [(1.0, 3.841), (2.0, 5.991), (10.0, 18.307)] {
+            assert!((chi_squared_95(freedom) / exact - 1.0).abs() < 0.03, "{freedom}");
+        }
     }
 
     #[test]

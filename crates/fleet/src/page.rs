@@ -85,13 +85,13 @@ fn odd_sentence(series: &Series, machine: &str, name: &str) -> Option<String> {
     let member = constant.values.iter().find(|it| it.machine == machine)?;
     let compared = member.compared?;
     let [value, low, high] = within(member.own.value, member.own.ci95);
+    let [predicted, ..] = within(compared.predicted, member.own.ci95);
     let often = match compared.p_series {
         p if p < 0.001 => "less than one in 1000 series of healthy machines has".to_string(),
         p => format!("{:.1} of 100 series of healthy machines have", 100.0 * p),
     };
     Some(format!(
-        "{machine} is unlike the others: {name} is {value} ({low} to {high}), and they predict {}; {often} one so far off.",
-        significant(compared.predicted)
+        "{machine} is unlike the others: {name} is {value} ({low} to {high}), and they predict {predicted}; {often} one so far off.",
     ))
 }
 

@@ -247,3 +247,80 @@ fn machines(records: &[Record], constants: &[Constant], drifts: &[Drifting]) -> 
     };
     names.into_iter().map(of).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::{
+        constants,
+        record::{Record, missing},
+    };
+
+    /// A record with one finding, a value with an error of 0.1.
+    fn record(machine: &str, value: f64, claimed: bool) -> Record {
+        let ends = [value - 0.196, value + 0.196];
+        let diagnosis = json!({"quantity": "dz", "findings": [{
+            "cause": "heat", "column": "temp_bed_c", "claimed": claimed,
+            "parameters": {"um_per_c": {"value": value, "ci95": ends}},
+            "gain": {"rms_before_um": 5.0, "rms_after_um": 3.0},
+        }]});
+        Record {
+            machine: machine.into(),
+            day: None,
+            verdict: "explained".into(),
+            quantity: "dz".into(),
+            belief: "b".into(),
+            found: constants::found(&diagnosis),
+            fitted: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_cause_claimed_once_is_confirmed_by_the_others_and_only_on_its_side() {
+        let confirmed = |others: [f64; 3]| {
+            let mut records = vec![record("a", 2.0, true)];
+            records.extend(
+                others.iter().zip(["b", "c", "d"]).map(|(v, name)| record(name, *v, false)),
+            );
+            series(&records, Vec::new()).causes[0].confirmed
+        };
+        assert!(confirmed([1.9, 2.1, 2.0]));
+        assert!(!confirmed([0.05, -0.1, 0.02]));
+        assert!(!confirmed([-1.9, -2.1, -2.0]));
+    }
+
+    #[test]
+    fn a_cause_of_another_machine_is_asked_of_those_that_do_not_have_it() {
+        let mut clean = record("b", 0.0, false);
+        clean.found.clear();
+        let mut other = clean.clone();
+        other.quantity = "dx".into();
+        let records = [record("a", 2.0, true), clean, other];
+        let asked: Vec<usize> = missing(&records).iter().map(Vec::len).collect();
+        assert_eq!(asked, [0, 1, 0]);
+        assert!(missing(&[record("a", 2.0, false), records[1].clone()])[1].is_empty());
+    }
+
+    #[test]
+    fn machines_whose_files_differ_are_not_put_together() {
+        let mut records: Vec<Record> =
+            (0..6).map(|n| record(&format!("m{n}"), 2.0, true)).collect();
+        records[..3].iter_mut().for_each(|it| it.belief = "other".into());
+        let series = series(&records, Vec::new());
+        assert_eq!(series.constants.iter().map(|it| it.machines).collect::<Vec<_>>(), [3, 3]);
+        assert!(series.notes[0].contains("2 different things"), "{:?}", series.notes);
+    }
+
+    #[test]
+    fn the_machine_in_most_doubt_is_measured_next() {
+        let mut records: Vec<Record> =
+            (0..6).map(|n| record(&format!("m{n}"), 2.0 + 0.3 * f64::from(n), true)).collect();
+        records[3].found[0].constants[0].estimate.se = 0.5;
+        let series = series(&records, Vec::new());
+        assert_eq!(series.next[0].machine, "m3");
+        assert!(series.next[0].after_um < series.next[0].doubt_um);
+        assert_eq!(series.next[0].program, "axis-heat");
+    }
+}

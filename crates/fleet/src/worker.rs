@@ -26,7 +26,7 @@ use serde_json::json;
 use trueup_numerics::parallel::on_one_core;
 
 use crate::{
-    job::{Job, JobFile},
+    job::{Damage, Job, JobFile},
     lease::{self, Lease, Watch},
     result::{Done, Named},
     store::{Store, checksum},
@@ -239,7 +239,8 @@ impl Team<'_> {
     }
 
     fn attempt(&self, id: &str) -> io::Result<()> {
-        let made = loaded(self.store, id).and_then(|loaded| {
+        let damage = |damage: Damage| Failure::Job(format!("jobs/{id}: {damage}"));
+        let made = loaded(self.store, id).map_err(damage).and_then(|loaded| {
             let out = self.store.result(id).join("out");
             let diagnose = || on_one_core(|| (self.diagnose)(&loaded, &out));
             // A job that breaks the program must not take the others with it.
@@ -271,11 +272,13 @@ impl Team<'_> {
 }
 
 /// Reads a job with its files.
-fn loaded(store: &Store, id: &str) -> Result<Loaded, Failure> {
+///
+/// # Errors
+/// A file is missing or damaged.
+pub fn loaded(store: &Store, id: &str) -> Result<Loaded, Damage> {
     let folder = store.job(id);
-    let damage = |damage: crate::job::Damage| Failure::Job(format!("jobs/{id}: {damage}"));
-    let job = Job::read(store, id).map_err(damage)?;
-    let bytes = |file: &JobFile| job.bytes(&folder, file).map_err(damage);
+    let job = Job::read(store, id)?;
+    let bytes = |file: &JobFile| job.bytes(&folder, file);
     let all = |files: &[JobFile]| files.iter().map(bytes).collect::<Result<Vec<_>, _>>();
     Ok(Loaded {
         machine_file: bytes(&job.machine_file)?,

@@ -1,18 +1,21 @@
 //! A job of a fleet: from the files of a command line to what is stored, and from there to the files of a diagnosis.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Result;
 use clap::ValueEnum as _;
 use trueup_compare::dated;
-use trueup_diagnose::{Options, diagnose_for};
+use trueup_diagnose::{Named, NamedFit, Options, diagnose_for, fit_named};
 use trueup_fleet::{
-    constants,
+    constants::{self, Found, Identity},
     job::{Content, Job, JobFile, Request, Submission},
     record::Record,
     result::Stored,
     store::{Store, checksum},
-    worker::{Failure, Files, Loaded},
+    worker::{self, Failure, Files, Loaded},
 };
 use trueup_machine::{BadInput, Machine, MachineFile, RunFile, file};
 
@@ -33,11 +36,10 @@ pub fn submission(
     let source = MachineFile::read_text(&input.machine)?;
     let machine = with_instrument(files::parsed(&source, &input.machine)?, input.instrument_um);
     let content = |path: &Path, bytes: Vec<u8>| Content { path: path.display().to_string(), bytes };
-    let run = |path: &std::path::PathBuf| -> Result<Content> {
-        files::run_of_known_names(path, &machine)?;
-        Ok(content(path, fs::read(path)?))
+    files::runs_of_known_names(&input.paths(), &machine)?;
+    let all = |paths: &[PathBuf]| -> Result<Vec<Content>> {
+        paths.iter().map(|path| Ok(content(path, fs::read(path)?))).collect()
     };
-    let all = |paths: &[std::path::PathBuf]| paths.iter().map(run).collect::<Result<Vec<_>>>();
     let serial = machine.serial.clone().filter(|serial| !serial.is_empty());
     let machine_name = match (name, serial) {
         (Some(name), _) => name.to_string(),
@@ -81,28 +83,51 @@ pub fn diagnose(loaded: &Loaded, out: &Path) -> Result<Files, Failure> {
     })
 }
 
-fn answer(loaded: &Loaded, out: &Path) -> Result<Files> {
+/// The files of a job, read.
+struct Opened {
+    source: String,
+    machine: Machine,
+    runs: Vec<RunFile>,
+    holdout: Vec<RunFile>,
+    options: Options,
+}
+
+fn open(loaded: &Loaded) -> Result<Opened> {
     let job = &loaded.job;
     let request = &job.request;
     files::accept_for_job(&request.accept);
     let path = Path::new(&job.machine_file.path);
     let source = String::from_utf8(loaded.machine_file.clone())?;
     let machine = with_instrument(files::parsed(&source, path)?, request.instrument_um);
-    let (mut runs, holdout) =
-        (read(&job.runs, &loaded.runs, &machine)?, read(&job.holdout, &loaded.holdout, &machine)?);
-    runs.extend(read(&job.off, &loaded.off, &machine)?);
+    let read = |(file, bytes): (&JobFile, &Vec<u8>)| {
+        RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))
+    };
+    let read = stored(loaded).map(read).collect::<Result<Vec<_>, _>>()?;
+    let mut runs = files::of_known_names(read, &machine)?;
+    let holdout = runs.split_off(job.runs.len() + job.off.len());
     let options = Options {
         quantity: request.quantity.as_deref().and_then(quantity),
         matters_um: request.matters_um,
         is_applied_once: request.applied_once,
     };
-    let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |_, _| {})?;
-    let mut inputs = vec![(job.machine_file.path.as_str(), loaded.machine_file.as_slice())];
+    Ok(Opened { source, machine, runs, holdout, options })
+}
+
+/// The runs of a job, in the order of `Input::paths`.
+fn stored(loaded: &Loaded) -> impl Iterator<Item = (&JobFile, &Vec<u8>)> {
+    let job = &loaded.job;
     let all = [(&job.runs, &loaded.runs), (&job.off, &loaded.off), (&job.holdout, &loaded.holdout)];
-    for (files, bytes) in all {
-        inputs.extend(files.iter().map(|it| it.path.as_str()).zip(bytes.iter().map(Vec::as_slice)));
-    }
-    let texts = made(&diagnosis, (&source, path), &origin::of_read(&inputs), out)?;
+    all.into_iter().flat_map(|(files, bytes)| files.iter().zip(bytes))
+}
+
+fn answer(loaded: &Loaded, out: &Path) -> Result<Files> {
+    let Opened { source, machine, runs, holdout, options } = open(loaded)?;
+    let machine_file = &loaded.job.machine_file.path;
+    let diagnosis = diagnose_for(&machine, &runs, &holdout, options, &mut |_, _| {})?;
+    let mut inputs = vec![(machine_file.as_str(), loaded.machine_file.as_slice())];
+    inputs.extend(stored(loaded).map(|(file, bytes)| (file.path.as_str(), bytes.as_slice())));
+    let origin = origin::of_read(&inputs);
+    let texts = made(&diagnosis, (&source, Path::new(machine_file)), &origin, out)?;
     let mut files: Files =
         texts.into_iter().map(|(name, text)| (name, text.into_bytes())).collect();
     let mut residuals = Vec::new();
@@ -111,12 +136,37 @@ fn answer(loaded: &Loaded, out: &Path) -> Result<Files> {
     Ok(files)
 }
 
-fn read(files: &[JobFile], bytes: &[Vec<u8>], machine: &Machine) -> Result<Vec<RunFile>, BadInput> {
-    let run = |(file, bytes): (&JobFile, &Vec<u8>)| {
-        let run = RunFile::from_reader(bytes.as_slice(), Path::new(&file.path))?;
-        files::of_known_names(run, machine)
+/// Returns the causes `wanted` of other machines, fitted to the runs of a record next to what its own diagnosis has found.
+pub fn fitted(
+    store: &Store,
+    id: &str,
+    record: &Record,
+    wanted: &[Identity],
+) -> Result<Vec<Found>, String> {
+    let loaded = worker::loaded(store, id).map_err(|damage| damage.to_string())?;
+    let Opened { machine, runs, options, .. } = open(&loaded).map_err(|why| format!("{why:#}"))?;
+    fn named(it: &Identity) -> Named<'_> {
+        Named { cause: &it.cause, column: it.column.as_deref(), form: it.form.as_deref() }
+    }
+    let own = record.found.iter().filter_map(|it| it.identity.as_ref());
+    let own: Vec<Named<'_>> = own.map(named).collect();
+    let asked: Vec<Named<'_>> = wanted.iter().map(named).collect();
+    let fits = fit_named(&machine, &runs, options, &own, &asked).map_err(|error| error.rule)?;
+    let found = |(it, fit): (&Identity, Option<NamedFit>)| {
+        let NamedFit { parameters, rms_before_um, rms_after_um } = fit?;
+        let mut finding = serde_json::json!({
+            "cause": it.cause, "claimed": false, "parameters": parameters,
+            "gain": { "rms_before_um": rms_before_um, "rms_after_um": rms_after_um },
+        });
+        for (key, value) in [("column", &it.column), ("form", &it.form)] {
+            if let Some(value) = value {
+                finding[key] = value.as_str().into();
+            }
+        }
+        let diagnosis = serde_json::json!({"quantity": record.quantity, "findings": [finding]});
+        constants::found(&diagnosis).pop()
     };
-    files.iter().zip(bytes).map(run).collect()
+    Ok(wanted.iter().zip(fits).filter_map(found).collect())
 }
 
 /// Returns the quantity of this name.
@@ -130,6 +180,7 @@ pub fn record(store: &Store, stored: &Stored) -> Result<Record, String> {
     let bytes = stored.files.get(DIAGNOSIS).ok_or("has no diagnosis.json")?;
     let diagnosis: serde_json::Value =
         serde_json::from_slice(bytes).map_err(|error| format!("{DIAGNOSIS}: {error}"))?;
+    let quantity = diagnosis["quantity"].as_str().unwrap_or_default();
     let job = Job::read(store, &done.id).map_err(|damage| damage.to_string())?;
     let folder = store.job(&done.id);
     let source = job.bytes(&folder, &job.machine_file).map_err(|damage| damage.to_string())?;
@@ -140,7 +191,8 @@ pub fn record(store: &Store, stored: &Stored) -> Result<Record, String> {
         machine: done.machine.clone(),
         day: done.date.as_deref().and_then(dated::day_of),
         verdict: diagnosis["verdict"].as_str().unwrap_or_default().into(),
-        belief: belief(machine, diagnosis["quantity"].as_str().unwrap_or_default()),
+        belief: belief(machine, quantity),
+        quantity: quantity.into(),
         found: constants::found(&diagnosis),
         fitted: Vec::new(),
     })
