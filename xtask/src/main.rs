@@ -86,6 +86,12 @@ enum Command {
         #[arg(default_value_t = 20)]
         seeds: u32,
     },
+    /// Draws circles with faults, and counts how often `trueup fit circle` names all of them and nothing else.
+    Circles {
+        /// How many; a third as many sound ones after them.
+        #[arg(long, default_value_t = 300)]
+        circles: u32,
+    },
     /// Lets the simulated bridge live through faults and restarts for a thousand million ticks, 12 days of
     /// a board.
     Soak {
@@ -195,6 +201,7 @@ fn main() -> ExitCode {
         Command::Scorecard { seeds } => verify::scorecard(seeds),
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
+        Command::Circles { circles } => campaign::circles(circles),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))

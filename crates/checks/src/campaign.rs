@@ -58,6 +58,20 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     process::run(&mut programs)
 }
 
+/// Draws this many circles with faults, and a third as many sound ones, and counts how often `fit circle` names all faults and
+/// nothing else.
+///
+/// # Errors
+/// It does not build, fewer than 95 of 100 are wholly named, or a sound one has a name.
+pub fn circles(count: u32) -> Result<()> {
+    let mut test = cargo::locked("test");
+    test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "fit", "--"])
+        .args(["--ignored", "--exact", "circle::campaign_300_drawn_circles_and_100_sound_ones"])
+        .arg("--nocapture")
+        .env("TRUEUP_CIRCLES", count.to_string());
+    process::run(&mut test)
+}
+
 /// Lets each of the fuzz targets run for this many minutes, one on each core at a time; prints how many inputs
 /// each has had.
 ///

@@ -1,6 +1,7 @@
 //! `trueup fit`: from measured runs to a section of the machine file.
 
 mod args;
+mod circle;
 mod report;
 mod table1;
 
@@ -41,6 +42,7 @@ struct Input {
 pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let common = match &args.kind {
         Kind::Table1(args) => return table1::run(args, as_json),
+        Kind::Circle(args) => return circle::run(args, as_json),
         Kind::Straightness(Straightness { common, .. })
         | Kind::Pitch(Pitch { common, .. })
         | Kind::Backlash(Backlash { common, .. })
@@ -52,7 +54,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let bytes: u64 = common.measured.run.iter().map(|path| runs::bytes(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
-        Kind::Table1(_) => unreachable!("has returned"),
+        Kind::Table1(_) | Kind::Circle(_) => unreachable!("has returned"),
         Kind::Straightness(args) => straightness_of(&input, args)?,
         Kind::Pitch(args) => pitch_of(&input, args)?,
         Kind::Backlash(args) => backlash_of(&input, args)?,
@@ -290,7 +292,7 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
         Some((path, source, _)) => report.edit.apply(source, path)?,
         None => report.edit.to_toml(),
     };
-    warn_of_text(input, &text, &common.output)?;
+    warn_of_text(input.machine(), &text, &common.output)?;
     // The machine file itself may be written over: that is what a user means who names it twice.
     let inputs: Vec<&Path> = common.measured.run.iter().map(PathBuf::as_path).collect();
     output::write_whole(&common.output, &inputs, |out| out.write_all(text.as_bytes()))?;
@@ -299,9 +301,9 @@ fn write(input: &Input, common: &Common, report: &Report) -> Result<bool> {
 
 /// Says, before `text` is written, what in it is unlikely, and that `compile` will refuse it for a slope;
 /// refuses what is impossible. `text` is a machine file, or sections of one.
-fn warn_of_text(input: &Input, text: &str, path: &Path) -> Result<()> {
+fn warn_of_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()> {
     const HEAD: &str = "[machine]\nname = \"sections\"\nkind = \"3-axis\"\n";
-    let machine = match input.machine() {
+    let machine = match machine {
         Some(before) => files::to_be_written(text, path, Some(before))?,
         None => files::to_be_written(&format!("{HEAD}{text}"), path, None)?,
     };

@@ -54,6 +54,10 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("fit warmup", "trueup fit warmup --run measured.csv --machine machine.toml -o fitted.toml"),
     ("fit thermal", "trueup fit thermal --run measured.csv --machine machine.toml -o fitted.toml"),
     (
+        "fit circle",
+        "trueup fit circle --run ccw.csv --run cw.csv --machine machine.toml -o fitted.toml --out circle",
+    ),
+    (
         "fit table1",
         "trueup fit table1 --run z_of_x.csv --run z_of_y.csv --run diagonal.csv -o table1.html",
     ),
@@ -163,7 +167,8 @@ fn in_groups(tool: &Command) -> String {
 }
 
 fn named(command: Command, path: &str) -> Command {
-    let command = command.mut_args(with_short);
+    let shorts: Vec<_> = command.get_arguments().filter_map(|it| short_of(&command, it)).collect();
+    let command = command.mut_args(|option| with_short(option, &shorts));
     let example = EXAMPLES.iter().find(|(name, _)| *name == path);
     let command = match example {
         Some((_, line)) if command.get_after_help().is_none() => {
@@ -177,8 +182,15 @@ fn named(command: Command, path: &str) -> Command {
     })
 }
 
-fn with_short(option: Arg) -> Arg {
-    let short = SHORT.iter().find(|(long, _)| option.get_long() == Some(*long));
+/// Returns the name and the letter of an option; a folder next to a file of its own has none.
+fn short_of(command: &Command, option: &Arg) -> Option<&'static (&'static str, char)> {
+    let has = |name: &str| command.get_arguments().any(|it| it.get_long() == Some(name));
+    let long = option.get_long()?;
+    SHORT.iter().find(|(name, _)| *name == long && !(long == "out" && has("output")))
+}
+
+fn with_short(option: Arg, shorts: &[&(&str, char)]) -> Arg {
+    let short = shorts.iter().find(|(long, _)| option.get_long() == Some(*long));
     match short {
         Some((_, letter)) if option.get_short().is_none() => option.short(*letter),
         _ => option,
@@ -192,8 +204,8 @@ mod tests {
     use clap::CommandFactory as _;
 
     /// Every command that has an option of the table, by its path.
-    fn each(command: &Command, path: &str, with: &mut dyn FnMut(&str, &Arg)) {
-        command.get_arguments().for_each(|option| with(path, option));
+    fn each(command: &Command, path: &str, with: &mut dyn FnMut(&Command, &str, &Arg)) {
+        command.get_arguments().for_each(|option| with(command, path, option));
         for inner in command.get_subcommands() {
             each(inner, &format!("{path} {}", inner.get_name()), with);
         }
@@ -219,9 +231,9 @@ mod tests {
         // No letter stands twice in a command.
         tool.clone().debug_assert();
         let mut counted = 0;
-        each(&tool, "", &mut |path, option| {
+        each(&tool, "", &mut |command, path, option| {
             let Some(long) = option.get_long() else { return };
-            let wanted = SHORT.iter().find(|(name, _)| *name == long).map(|(_, letter)| *letter);
+            let wanted = short_of(command, option).map(|(_, letter)| *letter);
             if let Some(letter) = option.get_short() {
                 let is_global = ["quiet", "verbose", "help", "version"].contains(&long);
                 assert!(is_global || Some(letter) == wanted, "{path} -{letter} is --{long}");

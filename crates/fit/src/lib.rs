@@ -15,12 +15,14 @@
 //! | [`elongation`] | fits `[spindle.sensor]` and `[spindle.temperature]` |
 //! | [`warmup`] | fits `[spindle.warmup]` |
 //! | [`thermal`] | fits `[axis.x.thermal]` |
+//! | [`circle`] | radial deviations of a circle as causes, ISO 230-4 |
 //! | [`curve`] | a straightness run as a report and a section |
 //! | [`known`] | what the rest of the machine file says of a run, to be taken off |
 //! | [`report`] | the shape that every fit's outcome has |
 #![forbid(unsafe_code)]
 
 pub mod bspline;
+pub mod circle;
 pub mod curve;
 pub mod elongation;
 pub mod iso230;

@@ -112,6 +112,35 @@ impl<'r> Unaided<'r> {
     }
 }
 
+/// Offsets along X, Y and Z, row by row, and what the user should know.
+type Offsets = ([Vec<f64>; 3], Vec<String>);
+
+/// Returns the offset along each linear axis that a bridge had applied in each row of `run`, in µm: 0 where none was
+/// applied, NaN where it is not known; and what the user should know, a sentence each. It is for
+/// errors that are measured across axes; `None` where the run has no columns of a bridge.
+///
+/// # Errors
+/// As [`Unaided::of`].
+pub fn offsets_um(run: &RunFile, machine: Option<&Machine>) -> Result<Option<Offsets>, BadInput> {
+    let mut notes = Vec::new();
+    let Some(record) = Record::of(run, machine, &mut notes)? else { return Ok(None) };
+    let nothing = vec![0.0; run.rows()];
+    let mut account = Account::default();
+    let offsets = LinearAxis::ALL.map(|axis| {
+        let quantity = Quantity::of_axis(axis);
+        if record.offsets[axis.index()].is_none() {
+            let is_known = record.lacks(quantity).is_none();
+            return vec![if is_known { 0.0 } else { f64::NAN }; run.rows()];
+        }
+        let (left_um, of_axis) = record.without(&nothing, quantity);
+        account = of_axis;
+        left_um.into_iter().map(|um| -um).collect()
+    });
+    let file = run.path().display();
+    notes.extend(account.notes("radial deviation").map(|note| format!("{file}: {note}")));
+    Ok(Some((offsets, notes)))
+}
+
 /// A run without what was applied, and what that was, by quantity.
 type Without = (RunFile, Vec<(Quantity, Vec<f64>)>);
 
@@ -122,20 +151,11 @@ fn taken_out(
     machine: Option<&Machine>,
     wanted: Option<Quantity>,
 ) -> Result<(Option<Without>, Vec<String>), BadInput> {
-    let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_name(axis)));
-    if run.column(QUALITY).is_none() && offsets.iter().all(Option::is_none) {
-        return Ok((None, Vec::new()));
-    }
-    let quality = run.require(QUALITY).map_err(|mut bad| {
-        bad.rule += "; without it nobody knows in which rows an offset was applied";
-        bad
-    })?;
-    check_quality(run, quality)?;
-    let file = run.path().display();
     let mut notes = Vec::new();
-    notes.extend(calibration(run, machine)?.map(|note| format!("{file}: {note}")));
-    let taken_back = taken_back(run, machine, quality);
-    let record = Record { run, machine, quality, offsets, taken_back };
+    let Some(record) = Record::of(run, machine, &mut notes)? else {
+        return Ok((None, notes));
+    };
+    let file = run.path().display();
     let mut cleaned = run.clone();
     let mut not_known = None;
     let mut offset_um = Vec::new();
@@ -272,6 +292,29 @@ impl Account {
                         a CNC has taken its offset back";
         let unknown = "quality or offset is missing, so what the bridge applied is not known";
         [told(self.unusable, unusable), told(self.unknown, unknown)].into_iter().flatten()
+    }
+}
+
+impl<'r> Record<'r> {
+    /// Returns the columns of a bridge, `None` where `run` has none; adds to `notes` what the user should know.
+    fn of(
+        run: &'r RunFile,
+        machine: Option<&'r Machine>,
+        notes: &mut Vec<String>,
+    ) -> Result<Option<Self>, BadInput> {
+        let offsets = LinearAxis::ALL.map(|axis| run.column(&offset_name(axis)));
+        if run.column(QUALITY).is_none() && offsets.iter().all(Option::is_none) {
+            return Ok(None);
+        }
+        let quality = run.require(QUALITY).map_err(|mut bad| {
+            bad.rule += "; without it nobody knows in which rows an offset was applied";
+            bad
+        })?;
+        check_quality(run, quality)?;
+        let file = run.path().display();
+        notes.extend(calibration(run, machine)?.map(|note| format!("{file}: {note}")));
+        let taken_back = taken_back(run, machine, quality);
+        Ok(Some(Self { run, machine, quality, offsets, taken_back }))
     }
 }
 

@@ -114,7 +114,7 @@ impl Chart {
             let _ = write!(svg, "<path class=\"{kind} {class}\" d=\"{path}\"/>");
         }
         let _ = write!(svg, "</svg><figcaption>{}", escaped(&self.title));
-        for series in self.legend() {
+        for series in legend(&self.series) {
             let _ = write!(
                 svg,
                 " <span class=\"key {}\">{}</span>",
@@ -147,7 +147,7 @@ impl Chart {
         );
         let inside = svg.find('>').map_or(svg.len(), |at| at + 1);
         svg.insert_str(inside, STYLE);
-        let legend = self.legend();
+        let legend = legend(&self.series);
         let share = (WIDTH - MARGIN[0]) / legend.len().max(1) as f64;
         for (number, series) in legend.into_iter().enumerate() {
             let _ = write!(
@@ -160,17 +160,6 @@ impl Chart {
             );
         }
         svg + "</svg>\n"
-    }
-
-    /// Returns one of each name and colour: a run may be many lines.
-    fn legend(&self) -> Vec<&Series> {
-        let mut legend: Vec<&Series> = Vec::new();
-        for series in &self.series {
-            if !legend.iter().any(|it| (&it.name, it.colour) == (&series.name, series.colour)) {
-                legend.push(series);
-            }
-        }
-        legend
     }
 
     /// Lowest and highest of x and of y, with a margin; none where there is no point.
@@ -188,6 +177,17 @@ impl Chart {
     }
 }
 
+/// Returns one of each name and colour: a run may be many lines.
+pub(crate) fn legend(all: &[Series]) -> Vec<&Series> {
+    let mut legend: Vec<&Series> = Vec::new();
+    for series in all {
+        if !legend.iter().any(|it| (&it.name, it.colour) == (&series.name, series.colour)) {
+            legend.push(series);
+        }
+    }
+    legend
+}
+
 impl Series {
     /// Points that are joined.
     #[must_use]
@@ -201,7 +201,7 @@ impl Series {
         Self { name: name.into(), colour, points, is_line: false }
     }
 
-    fn shown(&self) -> impl Iterator<Item = [f64; 2]> {
+    pub(crate) fn shown(&self) -> impl Iterator<Item = [f64; 2]> {
         let is_there = |point: &&[f64; 2]| point.iter().all(|value| value.is_finite());
         self.points.iter().filter(is_there).copied()
     }

@@ -4,6 +4,7 @@
 //! ```text
 //!  Page ─► html          one style; sections, cards, tables
 //!  Chart ─► figure       an SVG with its legend beside it, ticks without needless digits
+//!  Polar ─► figure       deviations from a circle, enlarged
 //!  Bars ─► figure        rivals side by side
 //!  Forest ─► figure      one value of many machines, with intervals
 //! ```
@@ -15,6 +16,7 @@ mod forest;
 mod html;
 mod number;
 mod origin;
+mod polar;
 mod seen;
 mod unbroken;
 
@@ -24,3 +26,4 @@ pub use forest::{Forest, ForestRow, Ranged};
 pub use html::{NEXT, Page, Table, commands, escaped};
 pub use number::{decimals_of_half_width, micrometres, significant, time_unit, within};
 pub use origin::Origin;
+pub use polar::Polar;

@@ -39,6 +39,22 @@ pub(crate) fn dots(points: &[[f64; 2]]) -> String {
     path
 }
 
+/// Returns the path of a closed or folded curve through `points`: of many, each that is farther than a stroke from the one
+/// before.
+pub(crate) fn path(points: &[[f64; 2]]) -> String {
+    let mut path = String::new();
+    let mut last: Option<[f64; 2]> = None;
+    for (at, [x, y]) in points.iter().enumerate() {
+        let is_near = last.is_some_and(|[u, v]| (u - x).hypot(v - y) < STROKE);
+        if is_near && points.len() > FEW && at + 1 < points.len() {
+            continue;
+        }
+        let _ = write!(path, "{}{x:.1} {y:.1}", if last.is_none() { 'M' } else { 'L' });
+        last = Some([*x, *y]);
+    }
+    path
+}
+
 /// Returns the path of a line through `points`.
 pub(crate) fn line(points: &[[f64; 2]]) -> String {
     let mut path = String::new();

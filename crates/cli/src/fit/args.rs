@@ -30,6 +30,9 @@ pub enum Kind {
     Warmup(Warmup),
     /// [axis.x.thermal]: an axis's growth with a temperature.
     Thermal(Thermal),
+    /// [squareness], [axis.x.backlash], [axis.x.pitch] and [straightness.y_of_x] by a ball bar or an indicator on a circle: the
+    /// causes of its form, the figures of ISO 230-4, and the polar plot as a page.
+    Circle(Circle),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
     Table1(Table1),
 }
@@ -123,6 +126,22 @@ pub struct Positions {
     /// Only the repeats with these numbers in the column run.
     #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
     pub repeats: Option<Vec<f64>>,
+}
+
+/// Finds the causes of circles that a ball bar, a 2D indicator or a contour record has measured.
+///
+/// A run has x_mm, y_mm (or the two positions of another plane) and measured_dr_um, actual minus nominal radius. Its direction
+/// is that of the order of its rows, or of the column dir (+1 counter-clockwise, -1 clockwise). Measure both directions.
+///
+/// Exit 3: nothing is claimed, and something is left that is no noise.
+#[derive(Args)]
+#[command(mut_arg("run", |run| run.help("A run file; may be given several times: both directions, up to three planes")))]
+pub struct Circle {
+    #[command(flatten)]
+    pub common: Common,
+    /// The folder for report.html and circle.json; left out, the page is OUT.html.
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(Args)]

@@ -350,3 +350,53 @@ fn bad_input_ends_with_2_and_one_line_and_writes_nothing() {
         assert!(!desk.path("out.toml").exists(), "{line}");
     }
 }
+
+/// A circle of 100 mm in both directions: `um` of the angle and the direction, and noise of 0.1 µm.
+fn circle_csv(um: impl Fn(f64, f64) -> f64) -> String {
+    let mut text = String::from("time_s,x_mm,y_mm,measured_dr_um\n");
+    for row in 0..1440_usize {
+        let sense = if row < 720 { 1.0 } else { -1.0 };
+        let angle = sense * ((row % 720) as f64 * 0.5 + 3.0).to_radians();
+        let (x, y) = (100.0 * angle.cos(), 100.0 * angle.sin());
+        let um = um(angle, sense) + 0.1 * noise(row);
+        writeln!(text, "{:.2},{x:.5},{y:.5},{um:.4}", 0.05 * row as f64).expect("a string");
+    }
+    text
+}
+
+#[test]
+fn a_circle_gives_causes_sections_and_a_page_with_the_polar_plot() {
+    let desk = desk();
+    // 4 µm of sin 2φ at 100 mm are 80 µm/m.
+    desk.write("run.csv", circle_csv(|angle, _| 3.0 + 4.0 * (2.0 * angle).sin()));
+    let line = "fit circle --run run.csv --machine m.toml -o out.toml --out page";
+    let (out, _) = desk.said(line, 0);
+    assert!(out.contains("squareness (written)"), "{out}");
+    let squareness = &desk.machine("out.toml").squareness[0];
+    assert!((squareness.um_per_m - 80.0).abs() < 0.5, "{squareness:?}");
+    let page = desk.text("page/report.html");
+    assert!(page.contains("<circle class=") && page.contains("G(b)"), "{page}");
+    let json = desk.text("page/circle.json");
+    assert_eq!(number(&json, "/planes/0/radius_mm").round(), 100.0);
+    assert!((number(&json, "/findings/0/parameters/um_per_m/value") - 80.0).abs() < 0.5);
+    // The file explains it now: nothing is left, and nothing is written.
+    let (out, _) = desk.said("fit circle --run run.csv --machine out.toml -o again.toml", 0);
+    assert!(out.contains("circle: clean") && out.contains("nothing is written"), "{out}");
+    assert!(!desk.path("again.toml").exists());
+}
+
+#[test]
+fn a_circle_in_one_direction_or_without_readings_says_what_to_do() {
+    let desk = desk();
+    let both = circle_csv(|angle, _| 4.0 * (2.0 * angle).sin());
+    let one: String = both.lines().take(721).map(|line| format!("{line}\n")).collect();
+    desk.write("one.csv", one);
+    let (out, _) = desk.said("fit circle --run one.csv -o out.toml", 3);
+    assert!(out.contains("not claimed") && out.contains("other direction"), "{out}");
+    desk.write("line.csv", "x_mm,measured_dr_um\n1,2\n2,3\n3,4\n");
+    let (_, err) = desk.said("fit circle --run line.csv -o out.toml", 2);
+    assert!(err.contains("needs two of x_mm, y_mm and z_mm that move"), "{err}");
+    desk.write("dx.csv", "x_mm,y_mm,measured_dx_um\n1,2,3\n");
+    let (_, err) = desk.said("fit circle --run dx.csv -o out.toml", 2);
+    assert!(err.contains("column measured_dr_um is missing"), "{err}");
+}

@@ -2,6 +2,8 @@
 //! that what the tests share is built and linked once.
 
 mod backlash_by_feed;
+mod circle;
+mod circle_drawn;
 mod elongation;
 mod pitch;
 mod pitch_real;

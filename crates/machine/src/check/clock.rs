@@ -159,7 +159,10 @@ fn is_slip(
     step_s: f64,
     median_s: f64,
 ) -> Option<bool> {
-    let is_value = |name: &str| is_temperature_column(name) || name.starts_with("measured_");
+    // A circle begins where it ends, whatever the pause between two of them.
+    let is_value = |name: &str| {
+        is_temperature_column(name) || name.starts_with("measured_") && name != "measured_dr_um"
+    };
     let votes = run.columns().iter().filter(|column| is_value(&column.name)).filter_map(|column| {
         let side =
             |rows: &[usize]| -> Vec<f64> { rows.iter().map(|row| column.values[*row]).collect() };

@@ -33,6 +33,11 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     ),
     known("run", "", "number of the repeat"),
     known(
+        "setup",
+        "",
+        "number of the set-up of the instrument, of `fit circle`: each has a zero and a centre of its own",
+    ),
+    known(
         "tool",
         "",
         "the tool in the spindle: the number that the CNC sends, 0 for none, or a label that has its number in \
@@ -58,6 +63,11 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("dir_y", "+1, −1", APPROACH),
     known("dir_z", "+1, −1", APPROACH),
     known(
+        "dir",
+        "+1, −1",
+        "direction on a circle, +1 counter-clockwise; without it that of the order of the rows",
+    ),
+    known(
         "feed_mm_per_min",
         "mm/min",
         "the feed at which the position was approached; `fit backlash` tells whether backlash depends on it",
@@ -66,6 +76,11 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("measured_dx_um", "µm", MEASURED),
     known("measured_dy_um", "µm", MEASURED),
     known("measured_dz_um", "µm", MEASURED),
+    known(
+        "measured_dr_um",
+        "µm",
+        "the radial deviation on a circle, actual minus nominal radius, at the commanded position; `fit circle`",
+    ),
     known("offset_x_um", "µm", OFFSET),
     known("offset_y_um", "µm", OFFSET),
     known("offset_z_um", "µm", OFFSET),

@@ -7,7 +7,7 @@
 use super::{clock::is_of_logger, known::KNOWN_COLUMNS};
 
 /// Known columns without their unit, with it, and whether the name alone, without any unit, is reported.
-const KNOWN: [(&str, &str, bool); 19] = [
+const KNOWN: [(&str, &str, bool); 20] = [
     ("time", "s", true),
     ("gauge_time", "s", true),
     ("x", "mm", true),
@@ -20,6 +20,7 @@ const KNOWN: [(&str, &str, bool); 19] = [
     ("measured_dx", "um", true),
     ("measured_dy", "um", true),
     ("measured_dz", "um", true),
+    ("measured_dr", "um", true),
     ("offset_x", "um", true),
     ("offset_y", "um", true),
     ("offset_z", "um", true),

@@ -1,0 +1,199 @@
+//! `trueup fit circle`: the causes of circles as text, JSON and page.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use serde_json::{Map, Value, json};
+use trueup_fit::{
+    Spread,
+    circle::{self, CircleReport, CircleResult, Figures, Finding, Verdict, page::title},
+};
+use trueup_machine::{Machine, MachineFile};
+
+use super::{args::Circle, warn_of_text};
+use crate::{Outcome, files, origin, output};
+
+/// Fits, writes and prints.
+pub fn run(args: &Circle, as_json: bool) -> Result<Outcome> {
+    let measured = &args.common.measured;
+    let machine: Option<(PathBuf, String, Machine)> = match &measured.machine {
+        None => None,
+        Some(path) => {
+            let text = MachineFile::read_text(path)?;
+            let machine = files::parsed(&text, path)?;
+            Some((path.clone(), text, machine))
+        }
+    };
+    let of_file = machine.as_ref().map(|(_, _, machine)| machine);
+    let runs = files::runs_to_fit(&measured.run, of_file)?;
+    let report = circle::fit(&runs, of_file)?;
+    report.warnings.iter().for_each(crate::report::warn);
+
+    let inputs: Vec<&Path> =
+        measured.run.iter().chain(&measured.machine).map(PathBuf::as_path).collect();
+    let page = circle::page(&report, &origin::of(&inputs)?).html();
+    let output = &args.common.output;
+    let is_written = !report.edit.is_empty();
+    let json = json_of(&report, is_written.then_some(output));
+    // The machine file itself may be written over: that is what a user means who names it twice.
+    let runs: Vec<&Path> = measured.run.iter().map(PathBuf::as_path).collect();
+    let mut set = output::FileSet::new(&runs);
+    if is_written {
+        let text = match &machine {
+            Some((path, source, _)) => report.edit.apply(source, path)?,
+            None => report.edit.to_toml(),
+        };
+        warn_of_text(of_file, &text, output)?;
+        set.text(output, &text)?;
+    }
+    match &args.out {
+        Some(folder) => {
+            std::fs::create_dir_all(folder)?;
+            set.text(&folder.join("report.html"), &page)?;
+            set.text(&folder.join("circle.json"), &format!("{json:#}\n"))?;
+        }
+        None if output::is_standard_output(output) => {}
+        None => set.text(&output.with_extension("html"), &page)?,
+    }
+    set.commit()?;
+    if as_json {
+        output::print(json)?;
+    } else {
+        output::print(text_of(&report, output))?;
+    }
+    let is_met = report.verdict != Verdict::Unexplained;
+    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn text_of(report: &CircleReport, output: &Path) -> String {
+    let mut lines = vec![format!("circle: {}", report.verdict.name())];
+    for it in &report.circles {
+        let record = &it.record;
+        let [u, v] = record.centre_mm;
+        lines.push(format!(
+            "{}: radius {:.3} mm about ({u:.3}, {v:.3}) mm, {} readings",
+            record.plane.name().to_uppercase(),
+            record.radius_mm,
+            record.rows.len()
+        ));
+        lines.push(format!("  {}", figures_text(&it.figures)));
+        for finding in &it.findings {
+            let state = match (finding.claimed, finding.compensated) {
+                (true, true) => "written",
+                (true, false) => "not written",
+                (false, _) => "not claimed",
+            };
+            let name = title(finding);
+            lines.push(format!("  {name} ({state}): {:.2} µm RMS", finding.rms_um));
+            lines.extend(finding.parameters.iter().map(|parameter| format!("    {parameter}")));
+            lines.extend(finding.evidence.iter().map(|evidence| format!("    {evidence}")));
+            if !finding.alternatives.is_empty() {
+                lines.push(format!("    or: {}", finding.alternatives.join(", ")));
+            }
+            if !finding.next_test.is_empty() {
+                lines.push(format!("    next: {}", finding.next_test));
+            }
+        }
+        let Spread { rms_um, max_um } = it.before;
+        lines.push(format!("  about the centre: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
+        let Spread { rms_um, max_um } = it.after;
+        lines.push(format!("  without the causes: {rms_um:.3} µm RMS, at most {max_um:.3} µm"));
+        if let Some(um) = it.structure_um {
+            lines.push(format!("  structure is left: {um:.2} µm RMS that no cause explains"));
+        }
+        lines.extend(it.set_aside.iter().take(20).map(|row| format!("  {row}")));
+    }
+    lines.extend(report.written.iter().map(|written| format!("  {written}")));
+    lines.push(if report.edit.is_empty() {
+        "nothing is written".into()
+    } else {
+        format!("written to {}", output.display())
+    });
+    lines.join("\n")
+}
+
+fn figures_text(figures: &Figures) -> String {
+    let mut said = Vec::new();
+    let mut add = |name: &str, um: Option<f64>| {
+        said.extend(um.map(|um| format!("{name} {um:.2}")));
+    };
+    add("G ccw", figures.g_um[0]);
+    add("G cw", figures.g_um[1]);
+    add("G(b)", figures.g_both_um);
+    add("H", figures.h_um);
+    add("F max ccw", figures.f_max_um[0]);
+    add("F min ccw", figures.f_min_um[0]);
+    add("F max cw", figures.f_max_um[1]);
+    add("F min cw", figures.f_min_um[1]);
+    add("D", figures.d_um);
+    format!("ISO 230-4, µm: {}", said.join(", "))
+}
+
+fn json_of(report: &CircleReport, output: Option<&PathBuf>) -> Value {
+    let findings = report.circles.iter().flat_map(|circle| &circle.findings).map(finding_json);
+    json!({
+        "schema": 1,
+        "kind": "circle",
+        "verdict": report.verdict.name(),
+        "findings": findings.collect::<Vec<_>>(),
+        "planes": report.circles.iter().map(circle_json).collect::<Vec<_>>(),
+        "written": report.written,
+        "warnings": report.warnings,
+        "output": output.map(|path| path.to_string_lossy()),
+    })
+}
+
+fn finding_json(it: &Finding) -> Value {
+    let parameters: Map<String, Value> = it
+        .parameters
+        .iter()
+        .map(|it| (it.name.clone(), json!({"value": it.value, "ci95": it.ci95})))
+        .collect();
+    json!({
+        "cause": it.cause.name(),
+        "plane": it.plane.name(),
+        "axis": it.axis.map(|axis| axis.name()),
+        "along": it.along.map(|axis| axis.name()),
+        "claimed": it.claimed,
+        "compensated": it.compensated,
+        "parameters": parameters,
+        "rms_um": it.rms_um,
+        "evidence": it.evidence,
+        "alternatives": it.alternatives,
+        "next_test": it.next_test,
+    })
+}
+
+fn circle_json(it: &CircleResult) -> Value {
+    let spread = |it: Spread| json!({"rms_um": it.rms_um, "max_um": it.max_um});
+    let both = |[ccw, cw]: [Option<f64>; 2]| json!({"ccw": ccw, "cw": cw});
+    let record = &it.record;
+    let figures = &it.figures;
+    json!({
+        "plane": record.plane.name(),
+        "centre_mm": record.centre_mm,
+        "radius_mm": record.radius_mm,
+        "rows": record.rows.len(),
+        "feed_mm_per_min": record.feed_mm_per_min(),
+        "noise_um": it.noise_um,
+        "before": spread(it.before),
+        "after": spread(it.after),
+        "structure_um": it.structure_um,
+        "iso230_4": {
+            "g_um": both(figures.g_um),
+            "g_both_um": figures.g_both_um,
+            "h_um": figures.h_um,
+            "f_max_um": both(figures.f_max_um),
+            "f_min_um": both(figures.f_min_um),
+            "d_um": figures.d_um,
+        },
+        "causes": it.findings.iter().filter(|it| it.claimed).map(title).collect::<Vec<_>>(),
+        "set_aside": it.set_aside.iter().map(|row| json!({
+            "file": row.place.file.to_string_lossy(),
+            "line": row.place.line,
+            "column": row.place.column,
+            "measured_um": row.measured_um,
+            "reason": row.reason,
+        })).collect::<Vec<_>>(),
+    })
+}

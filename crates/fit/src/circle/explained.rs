@@ -1,0 +1,105 @@
+//! One circle: searched, chosen, told in causes.
+
+use trueup_numerics::blocks::rms;
+
+use super::{
+    CircleResult, Figures,
+    choose::{Chosen, Unit, choose},
+    findings::findings,
+    record::Record,
+    search::search,
+    terms::{Term, travel_since_reversal},
+};
+use crate::report::Spread;
+
+/// An axis that reverses takes up its play over a travel of its width: a step at once is not expected there.
+const WHILE_TAKEN_UP: f64 = 1.3;
+/// Rows whose means are held against the noise of single rows, in degrees.
+const BIN_DEG: f64 = 10.0;
+/// Variances of the means in those of noise from which on there is structure.
+const STRUCTURE: f64 = 3.0;
+/// Structure below this share of the noise matters to no part.
+const SHARE_OF_NOISE: f64 = 0.5;
+/// The same in µm.
+const LEAST_STRUCTURE_UM: f64 = 0.2;
+
+/// Explains a circle.
+pub fn explain(record: Record) -> CircleResult {
+    let figures = Figures::of(&record);
+    let mut used = without_taking_up(&record, record.play_um);
+    let mut chosen = choose(&used, &search(&used));
+    let without = without_taking_up(&used, found_um(&used, &chosen));
+    if without.rows.len() < used.rows.len() {
+        used = without;
+        chosen = choose(&used, &search(&used));
+    }
+    let predicted_um = used.rows.iter().zip(&chosen.residual_um).map(|(row, left)| row.um - left);
+    let predicted_um: Vec<f64> = predicted_um.collect();
+    let setup: Vec<f64> = used
+        .rows
+        .iter()
+        .map(|row| {
+            let of_setup = chosen.terms.iter().filter(|it| it.unit == Unit::Setup);
+            of_setup.map(|it| it.um * it.term.at(row, &used)).sum()
+        })
+        .collect();
+    let before: Vec<f64> = used.rows.iter().zip(&setup).map(|(row, set)| row.um - set).collect();
+    let none = Spread { rms_um: 0.0, max_um: 0.0 };
+    CircleResult {
+        figures,
+        findings: findings(&used, &chosen),
+        before: Spread::of(&before).unwrap_or(none),
+        after: Spread::of(&chosen.residual_um).unwrap_or(none),
+        noise_um: chosen.noise_um,
+        structure_um: structure_um(&used, &chosen.residual_um),
+        predicted_um,
+        set_aside: used.set_aside.clone(),
+        record: used,
+    }
+}
+
+/// Returns the play of both axes: of the machine file, and that was found.
+fn found_um(record: &Record, chosen: &Chosen) -> [f64; 2] {
+    let mut play_um = record.play_um;
+    for it in &chosen.terms {
+        if let Term::Backlash(axis) = it.term {
+            play_um[axis] += it.um.abs();
+        }
+    }
+    play_um
+}
+
+/// Returns the record without the rows in which an axis takes up this play.
+fn without_taking_up(record: &Record, play_um: [f64; 2]) -> Record {
+    let passes = record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64;
+    let step = record.arc() * passes / record.rows.len() as f64;
+    record.without(|row| {
+        (0..2).any(|axis| {
+            let travel = travel_since_reversal(row, axis, record.radius_mm, step);
+            travel < WHILE_TAKEN_UP * play_um[axis] / 1e3
+        })
+    })
+}
+
+/// Returns RMS of what is left and no noise: means over arcs that vary by more than single rows let them.
+fn structure_um(record: &Record, left: &[f64]) -> Option<f64> {
+    let (mut differences, mut means) = (Vec::new(), Vec::new());
+    let mut at = 0;
+    let per_deg = 57.3 * record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64;
+    let step_deg = record.arc() * per_deg / record.rows.len() as f64;
+    let together = ((BIN_DEG / step_deg) as usize).max(3);
+    for pass in record.rows.chunk_by(|a, b| a.pass == b.pass) {
+        let own = &left[at..at + pass.len()];
+        at += pass.len();
+        differences.extend(own.windows(2).map(|pair| pair[1] - pair[0]));
+        means.extend(own.chunks_exact(together).map(|it| it.iter().sum::<f64>() / it.len() as f64));
+    }
+    let noise = rms(&differences) / std::f64::consts::SQRT_2;
+    let expected = noise * noise / together as f64;
+    let found = rms(&means).powi(2);
+    let um = (found - expected).max(0.0).sqrt();
+    let is_there = means.len() > 8
+        && found > STRUCTURE * expected
+        && um > (SHARE_OF_NOISE * noise).max(LEAST_STRUCTURE_UM);
+    is_there.then_some(um)
+}

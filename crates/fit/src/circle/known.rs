@@ -1,0 +1,159 @@
+//! The part of a radial reading that is known already: the offsets of a bridge, and what the machine file predicts.
+
+use std::{fmt::Write as _, path::Path};
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    applied::offsets_um,
+    file::{LinearAxis, is_temperature_column},
+    model::required_columns,
+    predict::Predictor,
+};
+
+use super::record::{READING, Record};
+
+/// Radial readings, and the offsets that a bridge had applied.
+pub struct Radial {
+    readings_um: Vec<f64>,
+    offsets_um: Option<[Vec<f64>; 3]>,
+}
+
+impl Radial {
+    /// Returns the reading of a row without what was applied; NaN where that is not known.
+    pub fn radial_um(&self, row: usize, axes: [LinearAxis; 2], angle: f64) -> f64 {
+        let applied = self.offsets_um.as_ref().map_or(0.0, |offsets| {
+            let [u, v] = axes.map(|axis| offsets[axis.index()][row]);
+            u * angle.cos() + v * angle.sin()
+        });
+        self.readings_um[row] - applied
+    }
+}
+
+/// Returns the readings of `run` without what a bridge had applied, once they are at an angle.
+pub fn without_offsets(
+    run: &RunFile,
+    machine: Option<&Machine>,
+    warnings: &mut Vec<String>,
+) -> Result<Radial, BadInput> {
+    let readings_um = run.require(READING)?.to_vec();
+    let (offsets_um, notes) = match offsets_um(run, machine)? {
+        Some((offsets_um, notes)) => (Some(offsets_um), notes),
+        None => (None, Vec::new()),
+    };
+    warnings.extend(notes);
+    Ok(Radial { readings_um, offsets_um })
+}
+
+/// Takes the prediction of `machine` off the readings. Laws whose columns the run lacks are left out, with a warning.
+pub fn take_off(
+    record: &mut Record,
+    runs: &[RunFile],
+    machine: &Machine,
+    warnings: &mut Vec<String>,
+) -> Result<(), BadInput> {
+    let axes = record.plane.axes();
+    let own = of_plane(machine, axes);
+    record.play_um = axes.map(|axis| {
+        own.axes[axis.index()].backlash.map_or(0.0, |backlash| backlash.width_um.abs())
+    });
+    for (file, run) in runs.iter().enumerate() {
+        let rows: Vec<usize> =
+            (0..record.rows.len()).filter(|at| record.rows[*at].source[0] == file).collect();
+        if rows.is_empty() {
+            continue;
+        }
+        let path = run.path();
+        let positions =
+            |name: &str| LinearAxis::ALL.iter().any(|it| name == format!("{}_mm", it.name()));
+        let lacks = |machine: &Machine| -> Vec<String> {
+            let needed = required_columns(machine).into_iter();
+            needed.filter(|name| !positions(name) && run.column(name).is_none()).collect()
+        };
+        let missing = lacks(&own);
+        let used = if missing.is_empty() { own.clone() } else { without_inputs(&own) };
+        if !missing.is_empty() {
+            warnings.push(format!(
+                "{}: heat, spindle and added terms of the machine file are not subtracted: the run lacks {}",
+                path.display(),
+                missing.join(", ")
+            ));
+        }
+        let stated = with_directions(record, run, &rows, path)?;
+        let predictor = Predictor::new(&used, &stated)?;
+        for (at, predicted) in rows.into_iter().zip(predictor.rows()) {
+            let row = &mut record.rows[at];
+            let [u, v] = axes.map(|axis| predicted.model.error_um[axis.index()]);
+            row.um -= u * row.angle.cos() + v * row.angle.sin();
+        }
+    }
+    record.rows.retain(|row| !row.um.is_nan());
+    Ok(())
+}
+
+/// Returns the parts of `machine` that can move these axes.
+fn of_plane(machine: &Machine, axes: [LinearAxis; 2]) -> Machine {
+    let mut own = machine.clone();
+    for axis in LinearAxis::ALL.into_iter().filter(|axis| !axes.contains(axis)) {
+        let other = &mut own.axes[axis.index()];
+        (other.thermal, other.pitch, other.backlash, other.dual) = (None, None, None, None);
+    }
+    let is_in_plane = |axis: &LinearAxis| axes.contains(axis);
+    own.straightness.retain(|curve| is_in_plane(&curve.error));
+    own.squareness.retain(|angle| is_in_plane(&angle.error));
+    own.terms.retain(|term| term.quantity.axis().is_none_or(|axis| is_in_plane(&axis)));
+    let reaches = axes.iter().any(|axis| own.tool_direction[axis.index()] != 0.0);
+    if own.head_axes.is_empty() && !reaches {
+        own.spindle.source = None;
+        own.terms.retain(|term| term.quantity.axis().is_some());
+    }
+    own
+}
+
+/// Returns `machine` without the laws of heat, of the spindle, and without added terms.
+fn without_inputs(machine: &Machine) -> Machine {
+    let mut rest = machine.clone();
+    rest.axes.iter_mut().for_each(|axis| axis.thermal = None);
+    rest.spindle.source = None;
+    rest.terms.clear();
+    rest
+}
+
+/// Returns these rows as a run with the direction of each axis, and 0 for a position that stands still and is not stated.
+fn with_directions(
+    record: &Record,
+    run: &RunFile,
+    rows: &[usize],
+    path: &Path,
+) -> Result<RunFile, BadInput> {
+    let is_input = |name: &str| {
+        ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"].contains(&name)
+            || is_temperature_column(name)
+            || name.ends_with("_deg")
+    };
+    let others = run.columns().iter().filter(|column| is_input(&column.name));
+    let others: Vec<(&str, &[f64])> = others
+        .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))
+        .collect();
+    let axes = record.plane.axes();
+    let mut text = String::from("x_mm,y_mm,z_mm,dir_x,dir_y,dir_z");
+    others.iter().for_each(|(name, _)| text.extend([",", name]));
+    for at in rows {
+        let row = &record.rows[*at];
+        let (mut mm, mut dir) = ([0.0; 3], [1.0; 3]);
+        for axis in LinearAxis::ALL {
+            let stated = run.column(&format!("{}_mm", axis.name()));
+            mm[axis.index()] = stated.map_or(0.0, |all| all[row.source[1]]);
+        }
+        let velocity = [-row.angle.sin(), row.angle.cos()];
+        for (axis, velocity) in axes.into_iter().zip(velocity) {
+            dir[axis.index()] = if velocity * row.sense < 0.0 { -1.0 } else { 1.0 };
+        }
+        let _ = write!(text, "\n{},{},{},{},{},{}", mm[0], mm[1], mm[2], dir[0], dir[1], dir[2]);
+        for (_, values) in &others {
+            let value = values[row.source[1]];
+            let _ = if value.is_nan() { write!(text, ",") } else { write!(text, ",{value}") };
+        }
+    }
+    text.push('\n');
+    RunFile::from_reader(text.as_bytes(), path)
+}

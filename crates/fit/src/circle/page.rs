@@ -1,0 +1,151 @@
+//! The page of circles: for each plane the polar plot, the figures of ISO 230-4, and the causes.
+
+use std::f64::consts::TAU;
+
+use trueup_machine::file::LinearAxis;
+use trueup_page::{Colour, Origin, Page, Polar, Series, Table, micrometres};
+
+use super::{CircleReport, CircleResult, Finding, Verdict};
+
+/// Returns the page of a report.
+#[must_use]
+pub fn page(report: &CircleReport, origin: &Origin) -> Page {
+    let mut page = Page::new("Circles and their causes, ISO 230-4");
+    let (state, heading) = match report.verdict {
+        Verdict::Clean => ("good", "Clean: nothing but set-up and noise"),
+        Verdict::Explained => ("good", "Explained"),
+        Verdict::PartlyExplained => ("open", "Partly explained"),
+        Verdict::Unexplained => ("bad", "Unexplained: nothing is claimed, and something is left"),
+    };
+    let said: Vec<String> = report.circles.iter().map(in_short).collect();
+    page.card(state, heading, &said);
+    for circle in &report.circles {
+        of_circle(&mut page, circle);
+    }
+    if !report.written.is_empty() {
+        page.heading("Written into the machine file");
+        page.list(&report.written);
+    }
+    page.list(&report.warnings);
+    page.note(
+        "G: range of the radii about the centre of least squares, in one direction and in both, G(b). H: largest difference of \
+         both directions at an angle. F: deviation from the nominal radius. D: mean radius of both directions minus the nominal \
+         one. The uncertainty of the instrument is not part of these figures.",
+    );
+    page.signature();
+    page.origin(origin);
+    page
+}
+
+/// Returns a circle and its causes in a sentence.
+#[must_use]
+pub fn in_short(circle: &CircleResult) -> String {
+    let named = |is_claimed: bool| -> Vec<String> {
+        let own = circle.findings.iter().filter(|it| it.claimed == is_claimed);
+        own.map(title).collect()
+    };
+    let (claimed, open) = (named(true), named(false));
+    let mut said = format!("{}: ", circle.record.plane.name().to_uppercase());
+    said += &if claimed.is_empty() { "no cause is claimed".into() } else { claimed.join(", ") };
+    if !open.is_empty() {
+        said += &format!("; not claimed: {}", open.join(", "));
+    }
+    if let Some(um) = circle.structure_um {
+        said += &format!("; structure of {um:.2} µm RMS is left");
+    }
+    said
+}
+
+/// Returns a cause with its axis: `backlash of x`.
+#[must_use]
+pub fn title(finding: &Finding) -> String {
+    let name = finding.cause.name();
+    match (finding.axis.map(LinearAxis::name), finding.along.map(LinearAxis::name)) {
+        (Some(axis), Some(along)) => format!("{name} of {axis} along {along}"),
+        (Some(axis), None) => format!("{name} of {axis}"),
+        _ => name.into(),
+    }
+}
+
+fn of_circle(page: &mut Page, circle: &CircleResult) {
+    let record = &circle.record;
+    let [u, v] = record.plane.axes().map(|axis| axis.name().to_uppercase());
+    page.heading(&format!("{u}{v}, radius {:.3} mm", record.radius_mm));
+    if let (Some(g), Some(h)) = (circle.figures.g_both_um, circle.figures.h_um) {
+        page.figures(&[
+            (micrometres(g), "G(b), bi-directional circular deviation".into(), "before"),
+            (micrometres(h), "H, circular hysteresis".into(), "before"),
+            (micrometres(circle.before.rms_um), "RMS about the centre".into(), "before"),
+            (micrometres(circle.after.rms_um), "RMS without the causes".into(), "after"),
+        ]);
+    }
+    page.pictures(&[plot(circle, [u, v])]);
+    page.table(&figures(circle));
+    if circle.findings.is_empty() {
+        page.text("No cause: centre and radius of the set-up, and noise.");
+    }
+    for finding in &circle.findings {
+        let mut table = Table::new(&["constant", "value", "95 %"]);
+        for parameter in &finding.parameters {
+            let interval = parameter
+                .ci95
+                .map_or_else(|| "–".into(), |[low, high]| format!("{low:.3} … {high:.3}"));
+            table.row(&[parameter.name.clone(), format!("{:.3}", parameter.value), interval]);
+        }
+        page.subheading(&format!(
+            "{}{}: {} RMS",
+            title(finding),
+            if finding.claimed { "" } else { " (not claimed)" },
+            micrometres(finding.rms_um)
+        ));
+        page.table(&table);
+        page.list(&finding.evidence);
+        if !finding.alternatives.is_empty() {
+            page.text(&format!("It would look the same: {}.", finding.alternatives.join(", ")));
+        }
+        if !finding.next_test.is_empty() {
+            page.text(&format!("Next: {}.", finding.next_test));
+        }
+    }
+}
+
+/// Returns the polar plot: both directions, and what the causes predict.
+fn plot(circle: &CircleResult, axes: [String; 2]) -> String {
+    let record = &circle.record;
+    let mut series = Vec::new();
+    for (name, colour, sense) in
+        [("counter-clockwise", Colour::Before, 1.0), ("clockwise", Colour::After, -1.0)]
+    {
+        for (number, passes) in record.rows.chunk_by(|a, b| a.pass == b.pass).enumerate() {
+            let first: usize =
+                record.rows.chunk_by(|a, b| a.pass == b.pass).take(number).map(<[_]>::len).sum();
+            if passes[0].sense * sense < 0.0 {
+                continue;
+            }
+            let points = passes.iter().map(|row| [row.angle.rem_euclid(TAU), row.um]).collect();
+            series.push(Series::line(name, colour, points));
+            let predicted = &circle.predicted_um[first..first + passes.len()];
+            let points = passes.iter().zip(predicted).map(|(row, um)| [row.angle, *um]).collect();
+            series.push(Series::line("the causes", Colour::Truth, points));
+        }
+    }
+    let causes: Vec<String> = circle.findings.iter().filter(|it| it.claimed).map(title).collect();
+    let causes = if causes.is_empty() { "no cause".into() } else { causes.join(", ") };
+    Polar { title: format!("Deviation of the radius, enlarged: {causes}."), axes, series }.figure()
+}
+
+fn figures(circle: &CircleResult) -> Table {
+    let it = &circle.figures;
+    let cell = |um: Option<f64>| um.map_or_else(|| "–".into(), micrometres);
+    let mut table = Table::new(&["ISO 230-4", "counter-clockwise", "clockwise", "both"]);
+    for (name, [ccw, cw], both) in [
+        ("G, circular deviation", it.g_um, it.g_both_um),
+        ("F max, radial deviation", it.f_max_um, None),
+        ("F min, radial deviation", it.f_min_um, None),
+        ("H, circular hysteresis", [None; 2], it.h_um),
+        ("D, mean radial deviation", [None; 2], it.d_um),
+    ] {
+        table.row(&[name.to_string(), cell(ccw), cell(cw), cell(both)]);
+    }
+    table
+}

@@ -1,0 +1,294 @@
+//! Searches what is not linear: the periods of cyclic errors, the shapes and widths of reversal spikes.
+//!
+//! One after the other the term is taken that removes most of what set-up, linear causes and those found before leave, each
+//! candidate without its share in them. Periods lie between 2.5 steps of the readings and a fifth of the circle's double
+//! diameter: a longer one is a form of straightness.
+
+use trueup_numerics::least_squares::normal::{dot, solve};
+
+use super::{
+    choose::{Column, Unit, linear, setup},
+    record::Record,
+    terms::{Shape, Term, Wave, since_reversal},
+};
+
+/// What a candidate must remove, in variances of what is left: a wave by chance in 10⁻⁴ of circles.
+const GAIN: f64 = 30.0;
+/// Rounds of a search, and of a look at each that was found.
+const ROUNDS: usize = 3;
+/// The most that is searched for.
+const MAX_FOUND: usize = 9;
+/// Shapes whose sum is that of the spikes of an axis.
+const MAX_SHAPES: usize = 3;
+/// Periods in the diameter, at least.
+const MIN_PERIODS: f64 = 2.5;
+/// Steps of the frequency in one over the diameter.
+const FINENESS: f64 = 0.3;
+/// The most frequencies of an axis.
+const MAX_FREQUENCIES: usize = 400;
+/// Candidates that are looked at closely.
+const CLOSE: usize = 16;
+/// Widths of spikes at half their height, in degrees.
+const WIDTHS_DEG: [f64; 9] = [0.8, 1.2, 1.8, 2.6, 3.6, 5.0, 7.0, 10.0, 14.0];
+
+/// Terms that are searched for together.
+#[derive(Clone, Debug)]
+struct Candidate {
+    unit: Unit,
+    terms: Vec<Term>,
+}
+
+/// A candidate with its columns.
+type WithColumns = (Candidate, Vec<Vec<f64>>);
+
+/// Returns the columns of the cyclic errors and spikes that the record seems to have.
+#[must_use]
+pub fn search(record: &Record) -> Vec<Column> {
+    let candidates = (0..2).flat_map(|axis| [waves(record, axis), peaks(record, axis)].concat());
+    let candidates: Vec<WithColumns> = candidates
+        .map(|candidate| {
+            let columns = candidate.columns(record);
+            (candidate, columns)
+        })
+        .collect();
+    let mut found: Vec<Candidate> = Vec::new();
+    for _ in 0..ROUNDS {
+        let before = found.len();
+        add_best(record, &candidates, &mut found);
+        if found.len() == before {
+            break;
+        }
+        // Each again, now that the others are known.
+        for at in 0..found.len() {
+            let others: Vec<&Candidate> =
+                found.iter().enumerate().filter(|(other, _)| *other != at).map(|it| it.1).collect();
+            let basis = Basis::of(record, &others);
+            let again = refined(&basis, record, &found[at]);
+            // The shape of a spike was chosen next to others that have changed.
+            let is_own =
+                |it: &Candidate| it.unit == again.unit && matches!(it.unit, Unit::Spikes(_));
+            let other = best(&basis, candidates.iter().filter(|(it, _)| is_own(it)));
+            let other = other.map(|(_, it)| refined(&basis, record, it));
+            let gain = |it: &Candidate| basis.gain(&it.columns(record));
+            found[at] = match other {
+                Some(other) if gain(&other) > gain(&again) => other,
+                _ => again,
+            };
+        }
+    }
+    let mut numbered = Vec::new();
+    for (number, candidate) in found.into_iter().enumerate() {
+        let unit = match candidate.unit {
+            Unit::Cyclic(axis, _) => Unit::Cyclic(axis, number),
+            other => other,
+        };
+        let columns = candidate.terms.into_iter().map(|term| Column { unit: unit.clone(), term });
+        numbered.extend(columns);
+    }
+    numbered
+}
+
+/// Adds the candidate that removes most, until none removes enough.
+fn add_best(record: &Record, candidates: &[WithColumns], found: &mut Vec<Candidate>) {
+    let mut basis = Basis::of(record, &found.iter().collect::<Vec<_>>());
+    while found.len() < MAX_FOUND {
+        let free = candidates.iter().filter(|(it, _)| !is_there(record, found, it));
+        let Some((gain, candidate)) = best(&basis, free) else { return };
+        let count = candidate.terms.len() as f64;
+        if gain < (GAIN + 2.0 * (count - 2.0)) * basis.variance() {
+            return;
+        }
+        let candidate = refined(&basis, record, candidate);
+        candidate.columns(record).into_iter().for_each(|column| basis.add(column));
+        found.push(candidate);
+    }
+}
+
+/// Returns the candidate that removes most, and how much.
+fn best<'c>(
+    basis: &Basis,
+    candidates: impl Iterator<Item = &'c WithColumns>,
+) -> Option<(f64, &'c Candidate)> {
+    let mut rough: Vec<_> = candidates.map(|it| (basis.rough_gain(&it.1), it)).collect();
+    rough.sort_unstable_by(|a, b| b.0.total_cmp(&a.0));
+    let close = rough.iter().take(CLOSE).map(|(_, it)| (basis.gain(&it.1), &it.0));
+    close.max_by(|a, b| a.0.total_cmp(&b.0))
+}
+
+/// Returns whether a period next to this one is found already, or as many shapes of the spikes of this axis as may be: their
+/// sum is the shape.
+fn is_there(record: &Record, found: &[Candidate], candidate: &Candidate) -> bool {
+    let of_unit = found.iter().filter(|it| it.unit == candidate.unit);
+    if matches!(candidate.unit, Unit::Spikes(_)) && of_unit.count() >= MAX_SHAPES {
+        return true;
+    }
+    found.iter().any(|it| match (&it.unit, &candidate.unit) {
+        (Unit::Cyclic(a, _), Unit::Cyclic(b, _)) if a == b => {
+            let [there, here] = [&it.terms[0], &candidate.terms[0]].map(period_of);
+            // Less than a period more in the diameter.
+            (1.0 / there - 1.0 / here).abs() * 2.0 * record.radius_mm < 1.0
+        }
+        _ => false,
+    })
+}
+
+impl Candidate {
+    fn columns(&self, record: &Record) -> Vec<Vec<f64>> {
+        self.terms.iter().map(|term| term.column(record)).collect()
+    }
+}
+
+fn period_of(term: &Term) -> f64 {
+    if let Term::Cyclic { period_mm, .. } = term { *period_mm } else { f64::NAN }
+}
+
+fn wave(axis: usize, period_mm: f64) -> Candidate {
+    let terms = [Wave::Sine, Wave::Cosine].map(|wave| Term::Cyclic { axis, period_mm, wave });
+    Candidate { unit: Unit::Cyclic(axis, 0), terms: terms.into() }
+}
+
+/// Returns the waves of an axis that the record can show.
+fn waves(record: &Record, axis: usize) -> Vec<Candidate> {
+    let diameter = 2.0 * record.radius_mm;
+    let steps = record.rows.windows(2).filter(|pair| pair[0].pass == pair[1].pass);
+    let mut ways: Vec<f64> =
+        steps.map(|pair| (pair[1].at_mm[axis] - pair[0].at_mm[axis]).abs()).collect();
+    ways.sort_unstable_by(f64::total_cmp);
+    // Nine tenths of the steps are shorter.
+    let Some(step) = ways.get(ways.len() * 9 / 10) else { return Vec::new() };
+    let shortest = (2.5 * step).max(0.5);
+    let most = (diameter / shortest / FINENESS) as usize;
+    let first = (MIN_PERIODS / FINENESS).ceil() as usize;
+    let last = most.min(first + MAX_FREQUENCIES);
+    (first..=last).map(|n| wave(axis, diameter / (n as f64 * FINENESS))).collect()
+}
+
+/// Returns the spikes of an axis, at both ends and in both directions.
+fn peaks(record: &Record, axis: usize) -> Vec<Candidate> {
+    let step = record.arc() / record.rows.len() as f64 * passes(record);
+    let senses: Vec<f64> = [1.0, -1.0].into_iter().filter(|it| record.has_sense(*it)).collect();
+    let of = |(shape, width): (Shape, f64)| {
+        let ends =
+            [true, false].into_iter().flat_map(|end| senses.iter().map(move |it| (end, *it)));
+        let terms =
+            ends.map(|(is_positive, sense)| Term::Spike { axis, is_positive, sense, shape, width });
+        // A part of a circle does not have all reversals.
+        let is_seen = |term: &Term| {
+            let Term::Spike { is_positive, sense, .. } = *term else { return false };
+            let near = |row: &&super::record::Row| {
+                let since = since_reversal(row, axis, is_positive);
+                row.sense * sense > 0.0 && (-width..2.0 * width).contains(&since)
+            };
+            record.rows.iter().filter(near).count() >= 2
+        };
+        let terms = terms.filter(is_seen).collect();
+        Candidate { unit: Unit::Spikes(axis), terms }
+    };
+    let widths = WIDTHS_DEG.into_iter().map(f64::to_radians).filter(|it| *it > 1.2 * step);
+    let all = widths.flat_map(|width| Shape::ALL.map(|shape| (shape, width)));
+    all.map(of).filter(|it| !it.terms.is_empty()).collect()
+}
+
+/// Returns the number of passes.
+fn passes(record: &Record) -> f64 {
+    record.rows.chunk_by(|a, b| a.pass == b.pass).count() as f64
+}
+
+/// Returns the candidate with the period or the width that removes most.
+fn refined(basis: &Basis, record: &Record, candidate: &Candidate) -> Candidate {
+    let gain = |candidate: &Candidate| basis.gain(&candidate.columns(record));
+    let scaled = |candidate: &Candidate, factor: f64| {
+        let mut other = candidate.clone();
+        for term in &mut other.terms {
+            match term {
+                Term::Cyclic { period_mm, .. } => *period_mm *= factor,
+                Term::Spike { width, .. } => *width *= factor,
+                _ => {}
+            }
+        }
+        other
+    };
+    // To the middle between neighbours of the grid first.
+    let mut step = match candidate.terms[0] {
+        Term::Cyclic { period_mm, .. } => 0.5 * FINENESS * period_mm / (2.0 * record.radius_mm),
+        _ => 0.2,
+    };
+    let (mut best, mut most) = (candidate.clone(), gain(candidate));
+    for _ in 0..9 {
+        for factor in [1.0 + step, 1.0 / (1.0 + step)] {
+            let other = scaled(&best, factor);
+            let its = gain(&other);
+            if its > most {
+                (best, most) = (other, its);
+            }
+        }
+        step *= 0.6;
+    }
+    best
+}
+
+/// Columns made orthogonal, and what they leave.
+struct Basis {
+    columns: Vec<Vec<f64>>,
+    left: Vec<f64>,
+}
+
+impl Basis {
+    /// Of the set-up, the linear causes and `found`.
+    fn of(record: &Record, found: &[&Candidate]) -> Self {
+        let left = record.rows.iter().map(|row| row.um).collect();
+        let mut basis = Self { columns: Vec::new(), left };
+        for column in setup(record).iter().chain(&linear(record)) {
+            basis.add(column.term.column(record));
+        }
+        found.iter().flat_map(|it| it.columns(record)).for_each(|column| basis.add(column));
+        basis
+    }
+
+    /// Takes the share of the columns here off `column`; `None` where nothing of it is left.
+    fn apart(&self, column: &[f64]) -> Option<Vec<f64>> {
+        let length = dot(column, column);
+        let mut rest = column.to_vec();
+        // Twice: once leaves rounding.
+        for _ in 0..2 {
+            for own in &self.columns {
+                let share = dot(own, &rest);
+                rest.iter_mut().zip(own).for_each(|(rest, own)| *rest -= share * own);
+            }
+        }
+        let left = dot(&rest, &rest);
+        (left > 1e-6 * length && left > 0.0).then(|| {
+            let scale = left.sqrt().recip();
+            rest.iter_mut().for_each(|it| *it *= scale);
+            rest
+        })
+    }
+
+    fn add(&mut self, column: Vec<f64>) {
+        let Some(own) = self.apart(&column) else { return };
+        let share = dot(&own, &self.left);
+        self.left.iter_mut().zip(&own).for_each(|(left, own)| *left -= share * own);
+        self.columns.push(own);
+    }
+
+    fn variance(&self) -> f64 {
+        let degrees = self.left.len().saturating_sub(self.columns.len()).max(1) as f64;
+        dot(&self.left, &self.left) / degrees
+    }
+
+    /// Returns at least roughly what the columns remove: of columns with a share in those here it is less than they do.
+    fn rough_gain(&self, columns: &[Vec<f64>]) -> f64 {
+        let of = |column: &Vec<f64>| {
+            let length = dot(column, column);
+            if length > 0.0 { dot(column, &self.left).powi(2) / length } else { 0.0 }
+        };
+        columns.iter().map(of).sum()
+    }
+
+    /// Returns the squares that the columns remove.
+    fn gain(&self, columns: &[Vec<f64>]) -> f64 {
+        let apart: Vec<Vec<f64>> = columns.iter().filter_map(|it| self.apart(it)).collect();
+        let solution = solve(&apart, &self.left, None, 0.0);
+        apart.iter().zip(&solution.coefficients).map(|(it, um)| um * dot(it, &self.left)).sum()
+    }
+}
