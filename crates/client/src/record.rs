@@ -264,7 +264,7 @@ impl Columns {
     fn of(machine: &Machine) -> Self {
         let temperatures = temperature_columns(machine);
         let mut angles = Self::numbered();
-        for (name, axis) in angles.iter_mut().zip(&machine.head_axes) {
+        for (name, axis) in angles.iter_mut().zip(machine.angle_axes()) {
             *name = format!("{}_deg", axis.name());
         }
         let conditions = machine.inputs.iter().flat_map(|inputs| &inputs.conditions);

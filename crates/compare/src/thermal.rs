@@ -44,6 +44,7 @@ pub fn at_reference(run: &RunFile, machine: Option<&Machine>) -> (RunFile, Strin
     let mut only = machine.clone();
     only.spindle.source = None;
     (only.straightness, only.squareness, only.terms) = (Vec::new(), Vec::new(), Vec::new());
+    (only.volume.angular, only.volume.rotary) = (Vec::new(), Vec::new());
     for axis in &mut only.axes {
         (axis.pitch, axis.backlash, axis.dual) = (None, None, None);
     }

@@ -46,6 +46,7 @@
 //! | ages, what is fresh, course, target, flags | ~460 | | |
 
 mod agreement;
+mod angles;
 mod conditions;
 mod joint;
 mod lost;
@@ -74,10 +75,11 @@ use crate::{
     cnc::{Command, Flags, LinearAxis, Output, Quality, Rotary},
     dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
     geometry::{CachedErrors, ErrorSums},
-    heat,
+    heat::{self, Heat},
     heat_memory::HeatMemory,
     learned::Change,
     limits::LimitStatus,
+    place::Place,
     set::IndexSet,
     thermometer::Raw,
     tip,
@@ -148,15 +150,7 @@ impl<'a> Bridge<'a> {
                 }
             }
             Command::Conditions(conditions) => self.hear_conditions(state, conditions),
-            Command::Rotary(Rotary { angles }) => {
-                let kinematics = &self.calibration.kinematics;
-                let direction = match state.tool.latest() {
-                    Some((known, direction)) if known == angles => direction,
-                    _ if self.needs.rotary => kinematics.direction(angles),
-                    _ => kinematics.zero,
-                };
-                state.hear_angles(angles, direction);
-            }
+            Command::Rotary(Rotary { angles }) => self.hear_angles(state, angles),
             Command::Position(heard) => {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
                     && state.hear_position(heard, axis)
@@ -420,28 +414,31 @@ impl<'a> Bridge<'a> {
         sums
     }
 
-    /// An axis has moved or turned round. Before the errors are first asked for nothing is kept.
-    fn moved(&self, state: &mut State, axis: LinearAxis) {
+    /// What the errors depend on has changed. Before they are first asked for nothing is kept.
+    #[inline]
+    fn update(&self, state: &mut State, change: impl FnOnce(&mut CachedErrors, &Heat, &Place)) {
         if let Some((errors, sums)) = &mut state.axes {
-            errors.moved(&self.calibration, &state.heat, &state.place, axis);
+            change(errors, &state.heat, &state.place);
             *sums = errors.errors().sums(self.largest);
         }
+    }
+
+    /// An axis has moved or turned round.
+    fn moved(&self, state: &mut State, axis: LinearAxis) {
+        let calibration = &self.calibration;
+        self.update(state, |errors, heat, place| errors.moved(calibration, heat, place, axis));
     }
 
     /// The heat of an axis has been stepped.
     fn warmed(&self, state: &mut State, axis: LinearAxis) {
-        if let Some((errors, sums)) = &mut state.axes {
-            errors.warmed(&self.calibration, &state.heat, &state.place, axis);
-            *sums = errors.errors().sums(self.largest);
-        }
+        let calibration = &self.calibration;
+        self.update(state, |errors, heat, place| errors.warmed(calibration, heat, place, axis));
     }
 
     /// A term over temperature or time has been stepped.
     fn term_warmed(&self, state: &mut State) {
-        if let Some((errors, sums)) = &mut state.axes {
-            errors.terms_changed(&self.calibration, &state.heat, &state.place);
-            *sums = errors.errors().sums(self.largest);
-        }
+        let calibration = &self.calibration;
+        self.update(state, |errors, heat, place| errors.terms_changed(calibration, heat, place));
     }
 
     /// Returns the offset that undoes the error since the reference; and whether the elongation along an

@@ -17,6 +17,7 @@ use crate::{
     thermometer::Thermometer,
     travel,
     units::{Fine, Position, Rpm, Temperature},
+    volume::Volume,
     warmup,
 };
 
@@ -35,6 +36,8 @@ pub struct Calibration<'a> {
     pub straightness: [Curve<'a>; 6],
     /// Squareness, in the order of [`AXIS_PAIRS`].
     pub squareness: [Gradient; 6],
+    /// Angular and location errors, with the chain of the axes; `None` where none is known.
+    pub volume: Option<Volume<'a>>,
     /// What a diagnosis has added; those that are there come first.
     pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.

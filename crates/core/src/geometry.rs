@@ -5,6 +5,7 @@
 //! positioning  pitch table by direction + backlash      along the axis itself
 //! guides       straightness and squareness over the two other axes
 //!              Δx = δx(y) + δx(z),  Δy = δy(x) + δy(z),  Δz = δz(x) + δz(y)
+//! volume       angles × levers, lines of rotary axes       any of these
 //! terms        what a diagnosis has added                  any of these
 //! ```
 //!
@@ -20,6 +21,7 @@ use crate::{
     term,
     travel::backlash,
     units::{Fine, Position},
+    volume::CachedVolume,
 };
 
 /// The errors of one axis at a place, part by part.
@@ -29,7 +31,7 @@ pub struct AxisError {
     pub thermal: Fine,
     /// Positioning: pitch table and backlash.
     pub positioning: Fine,
-    /// Straightness of the two other axes, and squareness to them.
+    /// Straightness of the two other axes, squareness to them, and what [`volume`](crate::volume) adds.
     pub guides: Fine,
     /// What a diagnosis has added.
     pub terms: Fine,
@@ -91,6 +93,7 @@ pub struct CachedErrors {
     errors: Errors,
     positioning_outside: [bool; 3],
     guides: [Guide; 6],
+    volume: CachedVolume,
 }
 
 /// What a guide adds to the error across it.
@@ -114,6 +117,9 @@ impl CachedErrors {
     #[must_use]
     pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
         let mut cached = Self::default();
+        if let Some(volume) = &calibration.volume {
+            cached.volume.turned(volume, place);
+        }
         for axis in LinearAxis::ALL {
             cached.moved(calibration, heat, place, axis);
         }
@@ -161,13 +167,29 @@ impl CachedErrors {
                 *guide = Guide { straightness, squareness, outside };
             }
         }
+        if let Some(volume) = &calibration.volume {
+            self.volume.moved(volume, place, moved);
+        }
+        self.add_guides();
+        self.terms_changed(calibration, heat, place);
+    }
+
+    /// The rotary axes have turned to where they stand in `place`.
+    pub fn turned(&mut self, calibration: &Calibration<'_>, place: &Place) {
+        if let Some(volume) = &calibration.volume {
+            self.volume.turned(volume, place);
+            self.add_guides();
+        }
+    }
+
+    fn add_guides(&mut self) {
         // Two guides an axis, in the order of `AXIS_PAIRS`.
-        for (error, pair) in self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0) {
+        let pairs = self.guides.as_chunks::<2>().0.iter().zip(self.volume.errors());
+        for (error, (pair, of_volume)) in self.errors.axes.iter_mut().zip(pairs) {
             error.guides = pair
                 .iter()
-                .fold(Fine::ZERO, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
+                .fold(of_volume, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
         }
-        self.terms_changed(calibration, heat, place);
     }
 
     /// An axis has moved, or a thermometer that a term follows has been read.
@@ -183,7 +205,8 @@ impl CachedErrors {
         }
         self.errors.outside = outside
             || self.positioning_outside.contains(&true)
-            || self.guides.iter().any(|guide| guide.outside);
+            || self.guides.iter().any(|guide| guide.outside)
+            || self.volume.is_outside();
     }
 
     /// An axis has become warmer or colder.

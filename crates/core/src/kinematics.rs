@@ -25,7 +25,7 @@
 
 use crate::{
     angle::sine_cosine,
-    fixed::{product, rounded_shift},
+    fixed::{product, rounded_shift, saturated},
     tool::Direction,
     units::MicroDegrees,
 };
@@ -74,29 +74,31 @@ impl Kinematics {
         let [first_angle, second_angle] = angles;
         // No turn makes a vector of length √3 at most longer than that: all sums below fit.
         let zero = self.zero.0.map(|component| component.clamp(-Direction::ONE, Direction::ONE));
-        turned(first, first_angle, turned(second, second_angle, Direction(zero)))
+        let by = |axis: Option<RotaryAxis>, angle, vector| match axis {
+            Some(axis) => turned(axis, sine_cosine(angle), vector),
+            None => vector,
+        };
+        Direction(by(first, first_angle, by(second, second_angle, zero)))
     }
 }
 
-/// R(angle)·V; V itself without an axis.
-fn turned(axis: Option<RotaryAxis>, angle: MicroDegrees, direction: Direction) -> Direction {
-    let Some(axis) = axis else { return direction };
-    let Direction([x, y, z]) = direction;
-    let turn = |p, q| turned_pair(p, q, sine_cosine(angle));
-    Direction(match axis {
+/// Returns R·v of a vector in any unit, by sine and cosine of the angle; saturates.
+#[inline]
+pub(crate) fn turned(axis: RotaryAxis, turn: (i32, i32), [x, y, z]: [i32; 3]) -> [i32; 3] {
+    match axis {
         RotaryAxis::A => {
-            let (y, z) = turn(y, z);
+            let (y, z) = turned_pair(y, z, turn);
             [x, y, z]
         }
         RotaryAxis::B => {
-            let (z, x) = turn(z, x);
+            let (z, x) = turned_pair(z, x, turn);
             [x, y, z]
         }
         RotaryAxis::C => {
-            let (x, y) = turn(x, y);
+            let (x, y) = turned_pair(x, y, turn);
             [x, y, z]
         }
-    })
+    }
 }
 
 /// (c·p − s·q, s·p + c·q), Q30.
@@ -107,10 +109,9 @@ fn turned_pair(p: i32, q: i32, (sine, cosine): (i32, i32)) -> (i32, i32) {
     )
 }
 
-/// Returns a Q60 sum as Q30, rounded to the nearest.
-#[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
+/// Returns a sum of products with Q30, rounded to the nearest. A direction never saturates: it is at most √3.
 fn rounded(sum: i64) -> i32 {
-    rounded_shift(sum, Direction::FRACTION_BITS) as i32
+    saturated(rounded_shift(sum, Direction::FRACTION_BITS))
 }
 
 #[cfg(test)]

@@ -20,6 +20,8 @@
 //! | V, V₀, tanβ of the sensor | reading, zero reading, slope | 1/1024 code (Q10); Q28 nm per reading | + grows | [`sensor`] | |
 //! | E_XX … E_ZZ | positioning error: pitch table and backlash | 1/256 nm | as e | [`pitch`], [`travel`] | ISO 230-2 |
 //! | E_YX, E_ZX … | straightness error of a motion across it | 1/256 nm | as e | [`curve`] | ISO 230-1 |
+//! | E_AX … E_CZ | angular error of a linear axis, as the error at a lever of 1.34 m | 1/256 nm | right-handed | [`volume`] | ISO 230-1 |
+//! | E_XOC, E_AOC … | location error of a rotary axis: shift, tilt of its line | 1/256 nm | as e; right-handed | [`volume`] | ISO 230-7 |
 //! | | squareness error, as a gradient | Q36 nm per 10 nm | as e | [`gradient`] | ISO 230-1 |
 //! | B | reversal value; here the width is −B | 1/256 nm | + approached in the negative direction | [`travel`] | ISO 230-2 |
 //! | β | reversal fraction: 0 approached positively, 1 negatively | Q31, 0…1 | | [`travel`] | |
@@ -84,5 +86,6 @@ pub mod tip;
 pub mod tool;
 pub mod travel;
 pub mod units;
+pub mod volume;
 pub mod warmup;
 pub mod window;

@@ -3,7 +3,7 @@
 use crate::{
     cnc::LinearAxis,
     travel::{Fraction, Travel},
-    units::Position,
+    units::{MicroDegrees, Position},
 };
 
 /// Where the machine stands, and from which side it came there. The default is 0 on all axes, with
@@ -14,6 +14,8 @@ pub struct Place {
     pub position: [Position; 3],
     /// The direction of approach of X, Y and Z.
     pub travel: [Travel; 3],
+    /// The angles of the rotary axes, in the order of the CNC's.
+    pub angles: [MicroDegrees; 2],
 }
 
 impl Place {

@@ -24,6 +24,7 @@ pub fn plain() -> Calibration<'static> {
         axes: Default::default(),
         straightness: Default::default(),
         squareness: Default::default(),
+        volume: None,
         terms: Default::default(),
         limits: Limits {
             max: [Nanometres(200_000), Nanometres(200_000), Nanometres(500_000)],

@@ -134,7 +134,7 @@ impl Replay {
             _ => {
                 inputs.is_some_and(|inputs| {
                     inputs.temperatures.contains_key(name) || inputs.conditions.contains_key(name)
-                }) || machine.head_axes.iter().any(|axis| angle_column(axis.name()) == name)
+                }) || machine.angle_axes().iter().any(|axis| angle_column(axis.name()) == name)
             }
         }
     }
@@ -192,7 +192,7 @@ struct Columns<'r> {
 impl<'r> Columns<'r> {
     fn of(run: &'r RunFile, machine: &Machine) -> Self {
         let inputs = machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
-        let heads = machine.head_axes.iter().map(|axis| angle_column(axis.name()));
+        let turning = machine.angle_axes().into_iter().map(|axis| angle_column(axis.name()));
         Self {
             run,
             temperatures: inputs
@@ -202,7 +202,7 @@ impl<'r> Columns<'r> {
                 Some((run.column(POSITIONS[axis])?, run.column(DIRECTIONS[axis])))
             }),
             before_mm: [None; 3],
-            angles: heads.map(|name| (name.clone(), run.column(&name))).collect(),
+            angles: turning.map(|name| (name.clone(), run.column(&name))).collect(),
             angles_deg: [None; 2],
             tool: run.column(TOOL_COLUMN),
             conditions: machine

@@ -208,6 +208,13 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
         let name = if is_list { "spindle.tools".into() } else { term_name(index, term) };
         left_out.push((name, reason.to_string()));
     }
+    const BY_LEVER: &str = "an angle acts by its lever along other axes, which no table of one axis holds; the bridge corrects it";
+    const LINE: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
+                        transformation data); the bridge corrects it";
+    let angles = machine.volume.angular.iter();
+    left_out.extend(angles.map(|it| (format!("angular.{}", it.name()), BY_LEVER.to_string())));
+    let lines = machine.volume.rotary.iter().filter(|it| !it.is_right());
+    left_out.extend(lines.map(|it| (format!("rotary.{}", it.axis.name()), LINE.to_string())));
     left_out
 }
 

@@ -87,6 +87,7 @@ pub fn known(
         || own.backlash.is_some()
         || !rest.straightness.is_empty()
         || !rest.squareness.is_empty()
+        || rest.volume.has_errors()
         || rest.spindle.source.is_some();
     if !says_something {
         return Ok(None);

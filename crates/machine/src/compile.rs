@@ -23,6 +23,7 @@ mod slope;
 mod spindle;
 mod squareness;
 pub(crate) mod term;
+mod volume;
 mod warmup;
 
 use trueup_core::{calibration::Calibration, gradient::Gradient};
@@ -39,6 +40,7 @@ use curve::{OwnedCurve, compile_curve};
 use inputs::thermometers;
 use spindle::SpindleTables;
 use squareness::{compile_squareness, crossed};
+use volume::OwnedVolume;
 
 pub use account::LARGEST_DIFFERENCE_NM;
 pub use inputs::{SHOWN_INPUT, missing_inputs};
@@ -118,6 +120,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         let made = compile_squareness(entry.um_per_m);
         squareness[crossed(entry.error, entry.along)] = account.take(&key, made)?;
     }
+    let volume = volume::compile(machine, &mut account)?;
     let terms = term::terms(machine, &mut account)?;
     let [x, y, z] = [0, 1, 2].map(|number| axis::view(machine, number, &axes[number]));
     let calibration = Calibration {
@@ -127,6 +130,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
         axes: [x?, y?, z?],
         straightness: std::array::from_fn(|n| curves[n].view()),
         squareness,
+        volume: volume.as_ref().map(OwnedVolume::view),
         terms: term::views(&terms),
         limits,
         cold_within: names::cold_within(machine)?,
@@ -169,7 +173,11 @@ pub const UNNAMED: &str = "shown";
 #[must_use]
 pub fn inverse(calibration: &Calibration<'_>) -> Machine {
     let has_sensor = spindle::has_sensor(&calibration.spindle);
-    let (kind, head_axes, tool_direction) = kinematics::inverse(&calibration.kinematics);
+    let volume = calibration.volume.as_ref();
+    let mut rotary = volume.iter().flat_map(|it| it.rotary.iter().flatten());
+    let turns_workpiece = rotary.any(|it| it.moves_workpiece);
+    let (kind, head_axes, tool_direction) =
+        kinematics::inverse(&calibration.kinematics, turns_workpiece);
     let curves = squareness::pairs().into_iter().zip(&calibration.straightness);
     let curves = curves.filter(|(_, curve)| !curve.is_empty());
     let mut terms = term::inverse(calibration);
@@ -197,6 +205,7 @@ pub fn inverse(calibration: &Calibration<'_>) -> Machine {
             })
             .collect(),
         squareness: squareness::inverse(&calibration.squareness),
+        volume: volume::inverse(calibration.volume.as_ref(), tool_direction),
         limits: limits::inverse(&calibration.limits),
         cold_within_c: names::cold_within_c(calibration.cold_within),
         instrument_um: None,

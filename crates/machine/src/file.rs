@@ -5,6 +5,7 @@
 //! with it. What the format knows but this version does not run is refused by name, never skipped.
 
 pub(crate) mod axis;
+mod chain;
 pub(crate) mod inputs;
 mod instrument;
 pub mod keys;
@@ -17,6 +18,7 @@ mod structure;
 mod term;
 mod thermal_state;
 pub(crate) mod tools;
+mod volume;
 pub mod write;
 
 use std::path::Path;
@@ -26,6 +28,7 @@ pub use axis::{
     AxisModel, Backlash, Dual, Feedback, LinearAxis, Pitch, RotaryAxis, Thermal, ThermalMode,
     ThermalRow,
 };
+pub use chain::Chain;
 pub use inputs::is_temperature_column;
 pub use limits::{LearnedCaps, Limits};
 pub use machine::{Kind, Machine, board_text};
@@ -33,8 +36,9 @@ pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warm
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Term, in_order};
 pub use tools::{Tool, Tools};
+pub use volume::{Angular, RotaryLocation, ToolTip, Volume};
 
-pub use crate::effect::{Cause, Effect, Quantity, Wave};
+pub use crate::effect::{Angle, Cause, Effect, Quantity, Wave};
 
 use crate::{
     bounded,
@@ -100,6 +104,9 @@ impl MachineFile {
         let curves =
             faults.of(section("straightness").map(|it| straightness::read_straightness(&it)));
         let angles = faults.of(section("squareness").map(|it| straightness::read_squareness(&it)));
+        let angular = faults.of(section("angular").map(|it| volume::read_angular(&it)));
+        let rotary = faults.of(section("rotary").map(|it| volume::read_rotary(&it)));
+        let tool = faults.of(section("tool").map(|it| volume::read_tool(&it)));
         let limits = faults.of(section("limits").map(|it| limits::read(&it)));
         let cold_within_c = faults.of(section("thermal_state").map(|it| thermal_state::read(&it)));
         let instrument_um = faults.of(section("instrument").map(|it| instrument::read(&it)));
@@ -125,6 +132,15 @@ impl MachineFile {
             return Err(error);
         }
         let identity = identity.expect("a section that is missing, or cannot be read, is a fault");
+        let (angular, point_mm) = angular.unwrap_or_default();
+        let volume = Volume {
+            chain: identity.chain,
+            angular,
+            point_mm,
+            rotary: rotary.unwrap_or_default(),
+            tool: tool.unwrap_or_default(),
+        };
+        volume::check(&root, &volume)?;
         Ok(Machine {
             name: identity.name,
             serial: identity.serial,
@@ -137,6 +153,7 @@ impl MachineFile {
             axes,
             straightness: curves.unwrap_or_default(),
             squareness: angles.unwrap_or_default(),
+            volume,
             limits: limits.unwrap_or_default(),
             cold_within_c: cold_within_c.unwrap_or(thermal_state::COLD_WITHIN_C),
             instrument_um,
@@ -172,6 +189,7 @@ impl Machine {
         }
         sections.extend(self.straightness.iter().map(straightness::write_straightness));
         sections.extend(straightness::write_squareness(&self.squareness));
+        sections.extend(volume::write(&self.volume));
         sections.push(limits::write(&self.limits));
         if self.cold_within_c != thermal_state::COLD_WITHIN_C {
             sections.push(thermal_state::write(self.cold_within_c));

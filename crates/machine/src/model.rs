@@ -9,13 +9,14 @@
 //! | `late` | the part's temperature where its thermometer is late |
 //! | `pitch` | an axis's position errors and its backlash |
 //! | `straightness` | the error of one axis along another, curved and straight |
+//! | `volume` | angular errors and lines of rotary axes, by their levers |
 //! | `term` | what a diagnosis has added |
 //!
 //! A run is stepped through row by row, because lags and the warm-up are states. The error of an
 //! axis, actual minus commanded, is the sum of its parts:
 //!
 //! ```text
-//! Δx = thermal + pitch + backlash + δx(y) + δx(z) + squareness + s·V_x
+//! Δx = thermal + pitch + backlash + δx(y) + δx(z) + squareness + volume + s·V_x
 //! ```
 //!
 //! and likewise on Y and Z. Then come the terms of a diagnosis: those of the elongation before it is
@@ -32,6 +33,7 @@ mod reversal;
 pub(crate) mod straightness;
 mod term;
 mod thermal;
+mod volume;
 
 pub use by_tool::growth_by_tool;
 pub use elongation::{
@@ -45,6 +47,7 @@ pub use reversal::over_compensation_um;
 pub use straightness::{spline_um, spline_weights, squareness_um};
 pub use term::{Falling, corrected, shifted, shifted_at, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
+pub use volume::volume_um;
 
 use std::borrow::Cow;
 
@@ -156,6 +159,8 @@ pub struct Parts {
     pub straightness_um: [f64; 3],
     /// The angles to the two other axes.
     pub squareness_um: [f64; 3],
+    /// Angular errors and location errors of rotary axes, by their levers to the tool tip.
+    pub volume_um: [f64; 3],
     /// What the terms of a diagnosis add to the error of each axis; those of the elongation are in
     /// it.
     pub terms_um: [f64; 3],
@@ -171,6 +176,7 @@ impl Parts {
             self.backlash_um,
             self.straightness_um,
             self.squareness_um,
+            self.volume_um,
             self.tool_um,
             self.terms_um,
         ];
@@ -265,6 +271,7 @@ impl<'m> ReferenceModel<'m> {
         for angle in self.machine.angles() {
             parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
         }
+        parts.volume_um = volume_um(&self.machine, situation.position_mm, situation.angle_deg);
         let State { terms, .. } = &mut self.state;
         let sum_um = parts.error_um();
         for axis in LinearAxis::ALL {
@@ -367,9 +374,13 @@ pub fn required_columns(machine: &Machine) -> Vec<String> {
     columns.append(&mut names);
     let positions = LinearAxis::ALL.into_iter().filter(|&axis| machine.needs_position(axis));
     columns.extend(positions.map(|axis| format!("{}_mm", axis.name())));
-    if machine.has_elongation() {
-        columns.extend(machine.head_axes.iter().map(|axis| format!("{}_deg", axis.name())));
+    let mut turning = if machine.has_elongation() { machine.head_axes.clone() } else { Vec::new() };
+    for axis in machine.volume_angles() {
+        if !turning.contains(&axis) {
+            turning.push(axis);
+        }
     }
+    columns.extend(turning.iter().map(|axis| format!("{}_deg", axis.name())));
     for column in term::columns(&machine.terms) {
         if !columns.contains(&column) {
             columns.push(column);
@@ -435,5 +446,6 @@ impl Machine {
                 .any(|other| other.dual.as_ref().is_some_and(|dual| dual.across == axis))
             || self.straightness.iter().any(|curve| curve.along == axis)
             || self.angles().any(|angle| angle.along == axis)
+            || self.volume_needs_position(axis)
     }
 }

@@ -227,7 +227,13 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     let mut text = String::new();
     let machine = FILE.iter().find(|key| key.name == "machine").expect("the first");
     if let (Form::Table(machine), true) = (machine.form, name != "machine") {
-        lines("machine", machine, &[], &mut text);
+        // What the errors of the volume cannot be without.
+        let chain = match name {
+            "rotary.b" => [("kind", "\"table-table\""), ("chain", "\"w C' B' b X Y Z t\"")],
+            _ => [("kind", "\"table-table\""), ("chain", "\"w C' A' b X Y Z t\"")],
+        };
+        let of_volume = name.starts_with("angular") || name.starts_with("rotary");
+        lines("machine", machine, if of_volume { &chain } else { &[] }, &mut text);
         if name != "inputs.sensor" {
             text.push_str(
                 "[inputs.sensor]\nvolts_full_scale = 10\ncounts_full_scale = 4096\ndivider = 0.3\n",
@@ -248,6 +254,9 @@ fn file_with(name: &str, keys: &[Key], more: &[(&str, &str)]) -> String {
     };
     beside("spindle.sensor", "zero_counts", "1", &["zero_v"]);
     beside("spindle.sensor", "um_per_count", "1", &["um_per_v"]);
+    if name.starts_with("angular.") {
+        beside(name, "urad_per_m", "1", &[]);
+    }
     beside("axis.x.thermal", "reference_c", "20.0", &["table"]);
     beside("inputs.temp_<name>_c", "kind", "\"linear\"", &[]);
     // The line in volts where a key of it is asked for, else in counts.
@@ -306,6 +315,10 @@ fn every_key_with_its_example_is_taken_by_the_reader_and_the_schema_and_an_unkno
             }
             // The second drive's table has the keys of the first one's.
             if name.starts_with("straightness") || name == "axis.x.dual.pitch" {
+                continue;
+            }
+            // An angle is a slope or a curve.
+            if name.starts_with("angular.") && key.name != "urad_per_m" {
                 continue;
             }
             let text = file_with(name, keys, &[(key.name, key.example)]);

@@ -147,7 +147,8 @@ impl Laws {
         let now_ms = (moment.time_s * 1_000.0) as u64;
         let known = |value: Option<f64>| value.unwrap_or(f64::NAN);
         let mut angle_deg = [f64::NAN; 3];
-        for (axis, angle) in self.machine.head_axes.iter().zip(moment.cnc.angle_deg(now_ms)) {
+        for (axis, angle) in self.machine.angle_axes().into_iter().zip(moment.cnc.angle_deg(now_ms))
+        {
             angle_deg[axis.index()] = known(angle);
         }
         let sensor = self.machine.sensor_on_board();
@@ -183,6 +184,7 @@ impl Laws {
             ("backlash", any_axis(|axis| axis.backlash.is_some()), parts.backlash_um),
             ("straightness", !machine.straightness.is_empty(), parts.straightness_um),
             ("squareness", !machine.squareness.is_empty(), parts.squareness_um),
+            ("angular and rotary errors", machine.volume.has_errors(), parts.volume_um),
             ("found causes", !machine.terms.is_empty(), parts.terms_um),
         ]
         .into_iter()

@@ -54,11 +54,18 @@
 //! | 16 tool | `i32` level of other tools; a table of `u32` number, `i32` level, 32 at most, rising; `u8` factor, 0, 0, 0 |
 //! | 17 condition | `i32` level off, `i32` level on; `u32` smoothing factor; `u8` factor, `u8` 1 if it counts as on while it is not known, 0, 0 |
 //!
+//! | 18 the volume, at most one, the last | a table of one record of 312 bytes, below |
+//!
 //! A condition's bit stands in the place of the channel. Factors: 0 none, 1 n², 2 the growth, 3 the position.
 //! Firmware that does not know a kind refuses the blob by the number of the kind and its place.
 //!
 //! A tilt has two axes: the one that tilts, and 16 times the one of the lever. The bucket shift of its
 //! curve stands where a coefficient has its binary places. Its angle is an error at a lever of 2²⁷·10 nm.
+//!
+//! The volume: 3 × `u8` linear axes from the workpiece to the tool (0, 1, 2: X, Y, Z), `u8` how many of them move the
+//! workpiece; of X, Y and Z each 3 × `i32` point, and about X, Y and Z each `i32` slope and a curve, both as errors at a
+//! lever of 2²⁷·10 nm; 3 × `i32` from the nose to the tip; 2 × rotary axis: `u8` 1, 2, 3: A, B, C (0: none), `u8` 1 if it
+//! moves the workpiece, 0, 0; 3 × `i32` point; 3 × `i32` shift; 3 × `i32` tilt at that lever.
 //!
 //! The checks go from the outside in: a blob of another schema is distinguished from a damaged one
 //! before the CRC is looked at, because its CRC may lie elsewhere. After that every reference, range
@@ -75,6 +82,7 @@ mod records;
 mod terms;
 #[cfg(test)]
 pub(crate) mod tests;
+mod volume;
 mod wire;
 
 pub use error::{BlobError, TooLarge};

@@ -11,6 +11,7 @@
 //! | [`tool`] | what each tool adds by its speed |
 //! | [`ambient`] | the air over the day |
 //! | [`axes`] | screws, scales, pitch, backlash, straightness, angles |
+//! | [`bodies`] | what each axis moves, turned and shifted a little, to the tip |
 //! | [`cubic_spline`] | smooth curves through points |
 //! | [`sensors`] | the displacement sensor and the thermometers, with their faults |
 //! | [`instrument`] | the reference instrument, with its own |
@@ -48,6 +49,7 @@
 
 pub mod ambient;
 pub mod axes;
+pub mod bodies;
 mod broken;
 pub mod cubic_spline;
 pub mod head;

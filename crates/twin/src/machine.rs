@@ -5,7 +5,7 @@
 //! Command ─► spindle ─► growth ─► displacement sensor ─► sensor_volts, sensor_counts
 //!    │          └─► temperatures ─► thermometers ──────► temperatures_c
 //!    ├─────► head ─► tool direction V ─┐
-//!    └─────► axes ─► errors ───────────┴─► tip_error_um = errors + growth·V
+//!    └─────► axes ─► errors ───────────┴─► tip_error_um = errors + of the bodies + growth·V
 //! ```
 //!
 //! [`crate::run`] plays a scenario with it, row by row; a control in the loop may step it with
@@ -14,6 +14,7 @@
 use crate::{
     ambient::Ambient,
     axes::{Axes, AxisName},
+    bodies::{self, Body},
     head,
     noise::Stream,
     scenario::{CoolantConfig, Scenario},
@@ -46,6 +47,8 @@ pub struct Machine {
     spindle: Option<Spindle>,
     tools: Vec<ToolConfig>,
     axes: Axes,
+    bodies: Vec<Body>,
+    tip_mm: [f64; 3],
     sensor: Option<Displacement>,
     thermometers: Vec<(String, Thermometer)>,
     head: Vec<head::RotaryAxis>,
@@ -76,6 +79,8 @@ impl Machine {
             spindle: scenario.spindle.as_ref().map(|config| Spindle::new(config, start_c)),
             tools: scenario.tool.clone(),
             axes: Axes::new(&scenario.axes(), scenario.start_mm, start_c),
+            bodies: scenario.body.clone(),
+            tip_mm: scenario.tip_mm,
             sensor: scenario.sensor.as_ref().map(|config| Displacement::new(config, seed)),
             thermometers: thermometers.collect(),
             head: scenario.head.clone(),
@@ -144,11 +149,17 @@ impl Machine {
     }
 
     /// Returns the error of the tool tip on X, Y and Z, actual minus commanded, in µm: the axes' errors,
-    /// and the elongation along the tool.
+    /// those of the bodies that they move, and the elongation along the tool.
     #[must_use]
     pub fn tip_error_um(&self) -> [f64; 3] {
         let (axes, elongation_um) = (self.axes.error_um(), self.elongation_um());
-        std::array::from_fn(|axis| axes[axis] + elongation_um * self.direction[axis])
+        let mut angle_deg = [0.0; 3];
+        for (axis, angle) in self.head.iter().zip(self.command.head_deg) {
+            angle_deg[*axis as usize] = angle;
+        }
+        let position_mm = self.axes.position_mm();
+        let bodies = bodies::error_um(&self.bodies, self.tip_mm, position_mm, angle_deg);
+        std::array::from_fn(|axis| axes[axis] + bodies[axis] + elongation_um * self.direction[axis])
     }
 
     /// Returns the linear axes, with their present errors.

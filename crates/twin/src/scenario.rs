@@ -13,6 +13,7 @@ use toml::de::DeTable;
 use crate::{
     ambient::AmbientConfig,
     axes::{Abbe, AxesConfig, AxisConfig, AxisName, Straightness},
+    bodies::{self, Body},
     broken::{Rule, line_and_column, not_finite, offset_of},
     head,
     instrument::InstrumentConfig,
@@ -123,6 +124,13 @@ pub struct Scenario {
     /// Angles and arms.
     #[serde(default)]
     pub abbe: Vec<Abbe>,
+    /// What each axis moves, from the workpiece to the tool, and how it is turned and shifted; without them all are
+    /// right.
+    #[serde(default)]
+    pub body: Vec<Body>,
+    /// From the spindle nose to the tool tip in mm, with all angles at 0, for the arms of the bodies.
+    #[serde(default)]
+    pub tip_mm: [f64; 3],
     /// The reference instrument; every quantity has one of its own.
     #[serde(default)]
     pub instrument: InstrumentConfig,
@@ -253,6 +261,7 @@ impl Scenario {
             let section = format!("axis.{}", crate::axes::NAMES[name.index()]);
             axis.check().map_err(|rule| rule.within(&section))?;
         }
+        bodies::check(&self.body, &self.head)?;
         for (index, curve) in self.straightness.iter().enumerate() {
             if curve.error == curve.along {
                 let rule = "must be another axis than error".to_string();

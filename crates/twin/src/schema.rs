@@ -12,6 +12,7 @@ use crate::{
     Scenario,
     ambient::AmbientConfig,
     axes::{Abbe, AxisConfig, Straightness},
+    bodies::Body,
     instrument::InstrumentConfig,
     path::Segment,
     scenario::{CoolantConfig, MOST_ROWS},
@@ -85,6 +86,7 @@ fn fields_of(table: &str) -> &'static [&'static str] {
         "axis" => fields::<AxisConfig>(),
         "straightness" => fields::<Straightness>(),
         "abbe" => fields::<Abbe>(),
+        "body" => fields::<Body>(),
         "instrument" => fields::<InstrumentConfig>(),
         "segment" => fields::<Segment>(),
         _ => &[],
@@ -213,7 +215,7 @@ mod tests {
             assert_eq!(fields, keys, "{name}");
             tables += 1;
         });
-        assert_eq!(tables, 12);
+        assert_eq!(tables, 13);
     }
 
     #[test]

@@ -75,6 +75,7 @@ pub fn machine(machine: &Machine, axis: Option<LinearAxis>) -> Result<Machine, U
     test.terms.clear();
     test.straightness.clear();
     test.squareness.clear();
+    (test.volume.angular, test.volume.rotary) = (Vec::new(), Vec::new());
     for axis in &mut test.axes {
         (axis.thermal, axis.pitch, axis.backlash, axis.dual) = (None, None, None, None);
     }

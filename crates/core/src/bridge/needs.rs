@@ -17,8 +17,10 @@ pub(super) struct RequiredInputs {
     /// How old the position of an axis may be, in milliseconds; for ever where nothing depends on
     /// it.
     pub position_ms: [u32; 3],
-    /// The angles of the head.
+    /// The angles of the rotary axes.
     pub rotary: bool,
+    /// The errors of the axes change with them, not the tool direction alone.
+    pub volume_angles: bool,
     /// Channels of the axes; that of the spindle is one source among others.
     pub temperatures: IndexSet,
     /// Every channel that something depends on, in use or not.
@@ -53,9 +55,12 @@ impl RequiredInputs {
         let terms = || calibration.terms.iter().flatten();
         let of_elongation = terms().any(|term| term.target == Target::Elongation);
         let by_speed = terms().any(|it| factor(&it.effect) == Some(Factor::Speed2));
+        let volume_angles = calibration.volume.is_some_and(|volume| volume.needs_angles());
+        let turns_growth = calibration.kinematics.axes.iter().any(Option::is_some)
+            && (of_elongation || chain.iter().any(Option::is_some));
         let mut needs = Self {
-            rotary: calibration.kinematics.axes.iter().any(Option::is_some)
-                && (of_elongation || chain.iter().any(Option::is_some)),
+            rotary: turns_growth || volume_angles,
+            volume_angles,
             conditions_ms: calibration.limits.link_timeout_ms.saturating_mul(CONDITIONS_TIMEOUTS),
             conditions: terms().any(|it| factor(&it.effect).is_some()),
             category_speed: by_speed,
@@ -92,6 +97,12 @@ impl RequiredInputs {
             if !curve.is_empty() || gradient.0 != 0 {
                 position(over);
             }
+        }
+        if let Some(volume) = &calibration.volume {
+            LinearAxis::ALL
+                .into_iter()
+                .filter(|axis| volume.needs_position(*axis))
+                .for_each(&mut position);
         }
         for term in terms() {
             match (term.effect, term.target) {

@@ -337,6 +337,7 @@ impl Machine {
             axes: self.axes.each_ref().map(OwnedAxis::axis),
             straightness: self.straightness.each_ref().map(OwnedCurve::curve),
             squareness: self.squareness.map(Gradient),
+            volume: None,
             terms: std::array::from_fn(|index| self.terms.get(index).copied()),
             limits: self.limits,
             cold_within: Temperature(Temperature::PER_KELVIN / 2),

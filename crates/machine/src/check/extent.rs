@@ -1,7 +1,7 @@
 //! How large each correction may become: the largest error that an entry of the file can make.
 
 use crate::{
-    effect::{OnBoard, SpeedPower, Times, heating},
+    effect::{Angle, OnBoard, SpeedPower, Times, heating},
     file::{BSpline, LinearAxis, Machine, Pitch, Quantity, Term, Thermal},
     model::growth_by_tool,
 };
@@ -29,7 +29,12 @@ pub(crate) fn reach_mm(machine: &Machine, axis: LinearAxis) -> Option<[f64; 2]> 
     let tables = tables.into_iter().flatten().map(ends_mm);
     let curves = machine.straightness.iter().filter(|curve| curve.along == axis);
     let curves = curves.filter_map(|curve| knots_mm(&curve.spline));
-    tables.chain(curves).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
+    let angles = machine.volume.angular.iter().filter(|angular| angular.along == axis);
+    let angles = angles.filter_map(|angular| match &angular.angle {
+        Angle::Curve(spline) => knots_mm(spline),
+        Angle::Line(_) => None,
+    });
+    tables.chain(curves).chain(angles).reduce(|[a, b], [c, d]| [a.min(c), b.max(d)])
 }
 
 /// Where a table begins and ends, in mm.
@@ -68,6 +73,9 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
         let along_mm = reach_mm(machine, line.along);
         add(format!("squareness.{}", line.name()), along_mm.map(|mm| of_line(line.um_per_m, mm)));
     }
+    for (key, largest_um) in of_volume(machine, axis) {
+        add(key, largest_um);
+    }
     for (index, term) in machine.terms.iter().enumerate() {
         if term.quantity.axis() == Some(axis) && term.effect.is_compensated() {
             let forms = term.effect.on_board();
@@ -92,6 +100,57 @@ pub(super) fn of_axis(machine: &Machine, axis: LinearAxis) -> Vec<Part> {
         let forms = growth_by_tool(tools).effect.on_board();
         let um = forms.iter().map(|form| of_growth_by(machine, form)).sum::<Option<f64>>();
         add("spindle.tools".into(), um.map(|um| along * um));
+    }
+    parts
+}
+
+/// Returns what angular errors and lines of rotary axes can make on an axis: the largest angle at the longest lever
+/// over the travels. `None`: by a travel that the file does not say.
+fn of_volume(machine: &Machine, axis: LinearAxis) -> Vec<(String, Option<f64>)> {
+    let volume = &machine.volume;
+    let Some(chain) = &volume.chain else { return Vec::new() };
+    let mut parts = Vec::new();
+    let tip_mm = volume.tool.tip_mm(machine.tool_direction);
+    let length = |mm: [f64; 3]| mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
+    // However the head turns it: from the nose to the first line, from line to line, and to the tip.
+    let mut from_mm = [0.0; 3];
+    let mut reach = 0.0;
+    for &axis in &chain.head {
+        let point_mm = volume.line_mm(axis);
+        reach += length([0, 1, 2].map(|n| point_mm[n] - from_mm[n]));
+        from_mm = point_mm;
+    }
+    reach += length([0, 1, 2].map(|n| tip_mm[n] - from_mm[n]));
+    let reach_of_tool_mm = if chain.head.is_empty() { tip_mm.map(f64::abs) } else { [reach; 3] };
+    let other = |about: usize| 3 - axis.index() - about;
+    for it in &volume.angular {
+        if it.about.index() == axis.index() {
+            continue;
+        }
+        let lever = LinearAxis::ALL[other(it.about.index())];
+        let angle_urad = match &it.angle {
+            Angle::Curve(spline) => Some(largest(&spline.control_um)),
+            Angle::Line(urad_per_m) => {
+                reach_mm(machine, it.along).map(|mm| of_line(*urad_per_m, mm))
+            }
+        };
+        let point_mm = volume.point_mm[it.along.index()][lever.index()];
+        let travel_mm = match chain.in_lever(it.along).contains(&lever) {
+            true => reach_mm(machine, lever),
+            false => Some([0.0; 2]),
+        };
+        let lever_mm = travel_mm.map(|ends| {
+            ends.map(|mm| (mm - point_mm).abs()).into_iter().fold(0.0, f64::max)
+                + reach_of_tool_mm[lever.index()]
+        });
+        let um = angle_urad.zip(lever_mm).map(|(urad, mm)| urad * mm / 1000.0);
+        parts.push((format!("angular.{}", it.name()), um));
+    }
+    for it in volume.rotary.iter().filter(|it| !it.is_right()) {
+        let tilts = it.tilt_urad.iter().any(|urad| *urad != 0.0);
+        let is_alone = chain.rotary().len() == 1;
+        let um = (!tilts && is_alone).then(|| it.shift_um[axis.index()].abs());
+        parts.push((format!("rotary.{}", it.axis.name()), um));
     }
     parts
 }

@@ -4,7 +4,7 @@ use super::{
     extent::{ends_mm, knots_mm},
     warning::Warning,
 };
-use crate::file::{Kind, LinearAxis, Machine};
+use crate::file::{Angle, Kind, LinearAxis, Machine};
 
 /// How far a curve may reach beyond the travel, as a share of it: ends are rounded up.
 pub(super) const OVERHANG: f64 = 0.01;
@@ -58,12 +58,18 @@ fn tables(machine: &Machine) -> Vec<Warning> {
 
 fn curves(machine: &Machine) -> Vec<Warning> {
     let curves = machine.straightness.iter();
+    let curves = curves.map(|it| (format!("straightness.{}", it.name()), it.along, &it.spline));
+    let angles = machine.volume.angular.iter().filter_map(|it| match &it.angle {
+        Angle::Curve(spline) => Some((format!("angular.{}", it.name()), it.along, spline)),
+        Angle::Line(_) => None,
+    });
     curves
-        .filter_map(|curve| {
-            let travel_mm = machine.axes[curve.along.index()].travel_mm?;
+        .chain(angles)
+        .filter_map(|(name, along, spline)| {
+            let travel_mm = machine.axes[along.index()].travel_mm?;
             let spare_mm = OVERHANG * (travel_mm[1] - travel_mm[0]);
-            let key = format!("straightness.{}.knots_mm", curve.name());
-            outside(machine, &key, knots_mm(&curve.spline)?, travel_mm, spare_mm, curve.along)
+            let key = format!("{name}.knots_mm");
+            outside(machine, &key, knots_mm(spline)?, travel_mm, spare_mm, along)
         })
         .collect()
 }

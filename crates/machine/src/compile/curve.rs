@@ -305,6 +305,15 @@ pub(super) fn inverse(curve: &Curve<'_>) -> BSpline {
     BSpline { order: 4, knots_mm, control_um: um.collect() }
 }
 
+/// Returns an angle, stored as its error at the board's lever of `lever_m`, in µrad.
+pub(super) fn inverse_angle(curve: &Curve<'_>, lever_m: f64) -> BSpline {
+    let mut spline = inverse(curve);
+    // As fine as the µm are there.
+    let urad = |um: &mut f64| *um = (*um / lever_m * 1e8).round() / 1e8 + 0.0;
+    spline.control_um.iter_mut().for_each(urad);
+    spline
+}
+
 /// Returns the Bézier points of a segment that begins at `start`, in [`Fine`] units.
 fn bezier_points(segment: &Segment, start: i32) -> [f64; 4] {
     let [c0, c1, c2, c3] = segment.coefficients.map(f64::from);

@@ -18,11 +18,21 @@ pub(super) fn compile(tool_direction: [f64; 3], head_axes: &[RotaryAxis]) -> Kin
     }
 }
 
-fn rotary(axis: RotaryAxis) -> kinematics::RotaryAxis {
+/// Returns the axis on the board.
+pub(super) fn rotary(axis: RotaryAxis) -> kinematics::RotaryAxis {
     match axis {
         RotaryAxis::A => kinematics::RotaryAxis::A,
         RotaryAxis::B => kinematics::RotaryAxis::B,
         RotaryAxis::C => kinematics::RotaryAxis::C,
+    }
+}
+
+/// Returns the board's axis in the machine file.
+pub(super) fn rotary_inverse(axis: kinematics::RotaryAxis) -> RotaryAxis {
+    match axis {
+        kinematics::RotaryAxis::A => RotaryAxis::A,
+        kinematics::RotaryAxis::B => RotaryAxis::B,
+        kinematics::RotaryAxis::C => RotaryAxis::C,
     }
 }
 
@@ -34,18 +44,14 @@ fn compile_direction(tool_direction: [f64; 3]) -> Direction {
 
 /// Returns what a user writes: the kind of machine, its axes and the direction in the fewest decimals,
 /// which is not of length 1.
-pub(super) fn inverse(kinematics: &Kinematics) -> (Kind, Vec<RotaryAxis>, [f64; 3]) {
-    let axes: Vec<RotaryAxis> = kinematics
-        .axes
-        .iter()
-        .flatten()
-        .map(|axis| match axis {
-            kinematics::RotaryAxis::A => RotaryAxis::A,
-            kinematics::RotaryAxis::B => RotaryAxis::B,
-            kinematics::RotaryAxis::C => RotaryAxis::C,
-        })
-        .collect();
+pub(super) fn inverse(
+    kinematics: &Kinematics,
+    turns_workpiece: bool,
+) -> (Kind, Vec<RotaryAxis>, [f64; 3]) {
+    let axes: Vec<RotaryAxis> =
+        kinematics.axes.iter().flatten().map(|axis| rotary_inverse(*axis)).collect();
     let kind = match axes.len() {
+        0 if turns_workpiece => Kind::TableTable,
         // It may be "table-table" as well: the board runs both alike.
         0 => Kind::ThreeAxis,
         1 => Kind::HeadTable,

@@ -96,11 +96,7 @@ fn of_form(form: &OnBoard) -> Slope {
     match form {
         OnBoard::Table(pitch) => of_table(pitch),
         OnBoard::Curve(_, spline) => of_curve(spline),
-        // Of a curve in µrad the value at a lever of 1 m is the same number in µm.
-        OnBoard::Tilt(tilt) => match &tilt.angle {
-            Angle::Line(urad_per_m) => even(urad_per_m / 1000.0),
-            Angle::Curve(spline) => of_curve(spline),
-        },
+        OnBoard::Tilt(tilt) => of_angle(&tilt.angle),
         &OnBoard::Wave { period_mm, harmonic, amplitude_um, .. } => {
             even(amplitude_um * TAU * f64::from(harmonic) / period_mm)
         }
@@ -121,6 +117,15 @@ fn of_form(form: &OnBoard) -> Slope {
         | OnBoard::Speed(_)
         | OnBoard::Load(_)
         | OnBoard::Thermal(_) => even(0.0),
+    }
+}
+
+/// Returns the steepest slope of what an angle makes at a lever of 1 m.
+fn of_angle(angle: &Angle) -> Slope {
+    match angle {
+        Angle::Line(urad_per_m) => Slope { um_per_mm: urad_per_m / 1000.0, at_mm: 0.0 },
+        // Of a curve in µrad the value there is the same number in µm.
+        Angle::Curve(spline) => of_curve(spline),
     }
 }
 
@@ -147,6 +152,8 @@ pub fn check_slopes(machine: &Machine) -> Result<(), BadInput> {
         let slope = Slope { um_per_mm: it.um_per_m / 1000.0, at_mm: 0.0 };
         (format!("squareness.{}", it.name()), slope)
     }));
+    let angles = machine.volume.angular.iter();
+    parts.extend(angles.map(|it| (format!("angular.{}", it.name()), of_angle(&it.angle))));
     let terms = machine.terms.iter().enumerate();
     parts.extend(terms.map(|(index, it)| (format!("term[{index}]"), of_effect(&it.effect))));
     match parts.iter().find_map(|(key, it)| Some((key, too_steep(*it, &machine.limits)?))) {

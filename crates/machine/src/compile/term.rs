@@ -260,7 +260,7 @@ fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
 
 /// Returns a length, and its rounding in nm.
-fn fine(um: f64) -> Made<Fine> {
+pub(super) fn fine(um: f64) -> Made<Fine> {
     let exact = um * FINE_PER_UM;
     let stored = rounded(exact).ok_or_else(|| format!("{um} µm is beyond the board's ±8388 µm"))?;
     Ok((Fine(stored), (f64::from(stored) - exact).abs() / FINE_PER_UM * NM_PER_UM))

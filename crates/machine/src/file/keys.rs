@@ -6,12 +6,14 @@
 
 mod key;
 mod term;
+mod volume;
 
 use crate::inputs::LAST_CHANNEL;
 
 pub use key::{Form, Key, Need};
 use key::{key, section};
 pub use term::{TERM, TERM_KEYS};
+use volume::{ANGULAR, ROTARY, TOOL_TIP};
 
 use Form::{
     Boolean, Choice, Choices, Column, NotNegative, Number, Numbers, Positive, Rows, Terms, Text,
@@ -32,6 +34,8 @@ const MACHINE: &[Key] = &[
         .or("[]"),
     key("tool_direction", Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0")
         .or("[0.0, 0.0, -1.0]"),
+    key("chain", Text, "", "which axis carries what, in the letters of ISO 10791-6: from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece; X, Y and Z once each, next to the bed, the rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`")
+        .as_in("\"w X' b Y Z t\""),
 ];
 
 const SENSOR_INPUT: &[Key] = &[
@@ -328,6 +332,17 @@ pub const FILE: &[Key] = &[
     section("axis", AXIS_SECTIONS, "what is known of each linear axis"),
     section("straightness", STRAIGHTNESS, "errors of one axis while another one moves"),
     section("squareness", SQUARENESS, "angles between the axes"),
+    section(
+        "angular",
+        ANGULAR,
+        "angular errors of the linear axes, in the letters of ISO 230-1; needs `machine.chain`",
+    ),
+    section(
+        "rotary",
+        ROTARY,
+        "location errors of the rotary axes, in the letters of ISO 230-7; needs `machine.chain`",
+    ),
+    section("tool", TOOL_TIP, "where the tool tip is, which angular errors move by their lever"),
     section(
         "limits",
         LIMITS,

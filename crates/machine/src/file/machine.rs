@@ -1,7 +1,8 @@
 //! `[machine]`: which machine it is, and where its tool points.
 
 use super::{
-    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term,
+    AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term, Volume,
+    chain::Chain,
     read::Section,
     write::section::{NewSection, Value},
 };
@@ -36,6 +37,8 @@ pub struct Machine {
     pub straightness: Vec<Straightness>,
     /// The angles between the axes as they are written; no pair of axes twice.
     pub squareness: Vec<Squareness>,
+    /// The chain of the axes, their angular and location errors, and where the tool tip is.
+    pub volume: Volume,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
     /// Thermometers that agree within this in °C belong to a machine that has no heat of its own; 0…5.
@@ -101,6 +104,7 @@ pub(super) struct Identity {
     pub kind: Kind,
     pub head_axes: Vec<RotaryAxis>,
     pub tool_direction: [f64; 3],
+    pub chain: Option<Chain>,
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
@@ -127,9 +131,18 @@ pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
         })?,
         None => [0.0, 0.0, -1.0],
     };
+    let chain = section.text("chain")?.map(|written| {
+        let chain = Chain::parse(written)?;
+        chain.check(kind, &head_axes).map(|()| chain)
+    });
+    let chain =
+        chain.transpose().map_err(|rule| section.bad("chain", rule).with_help(CHAIN_HELP))?;
     let (name, serial) = (name.to_string(), serial.map(str::to_string));
-    Ok(Identity { name, serial, board, kind, head_axes, tool_direction })
+    Ok(Identity { name, serial, board, kind, head_axes, tool_direction, chain })
 }
+
+const CHAIN_HELP: &str = "the axes from the workpiece (w) over the bed (b) to the tool (t), those that move the \
+                          workpiece with ', as in chain = \"w C' A' X' b Y Z t\"";
 
 /// Returns the number of a chip, the lowest word first; never 0, which is no chip's.
 fn read_board(written: &str) -> Option<[u32; 3]> {
@@ -197,5 +210,20 @@ pub(super) fn write(machine: &Machine) -> NewSection {
         let names = machine.head_axes.iter().map(|axis| axis.name().to_string());
         section = section.with("head_axes", Value::Texts(names.collect()));
     }
+    if let Some(chain) = &machine.volume.chain {
+        section = section.text("chain", chain.to_string());
+    }
     section.numbers("tool_direction", machine.tool_direction)
+}
+
+impl Machine {
+    /// Returns the rotary axes whose angles the CNC sends, in their order: those that turn the tool, then those that
+    /// turn the workpiece, as far as the chain says them.
+    #[must_use]
+    pub fn angle_axes(&self) -> Vec<RotaryAxis> {
+        match &self.volume.chain {
+            Some(chain) => chain.rotary(),
+            None => self.head_axes.clone(),
+        }
+    }
 }

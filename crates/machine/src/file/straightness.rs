@@ -189,17 +189,18 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
 }
 
 pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
-    write_spline(NewSection::new(format!("straightness.{}", curve.name())), &curve.spline)
+    let section = NewSection::new(format!("straightness.{}", curve.name()));
+    spline_keys(section, &curve.spline, CONTROL)
 }
 
-/// Returns the keys of a spline, after those that `section` has.
-pub(super) fn write_spline(section: NewSection, spline: &BSpline) -> NewSection {
+/// Returns the keys of a spline, after those that `section` has; its control points at the key `control`.
+pub(super) fn spline_keys(section: NewSection, spline: &BSpline, control: &str) -> NewSection {
     // What passes `check` is 2, 3 or 4.
     let order = u32::try_from(spline.order).unwrap_or(u32::MAX);
     section
         .whole("order", order)
         .numbers("knots_mm", &spline.knots_mm[..])
-        .numbers("control_um", &spline.control_um[..])
+        .numbers(control, &spline.control_um[..])
 }
 
 pub(super) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {

@@ -95,8 +95,8 @@ fn with_all_temperatures(machine: &Machine) -> Machine {
 pub(super) struct BridgeRun<'b> {
     bridge: &'b Bridge,
     calibration: Calibration<'b>,
-    /// In the order of `head_axes`, each the place of its angle among A, B and C.
-    head_axes: Vec<usize>,
+    /// In the order in which the CNC sends them, each the place of its angle among A, B and C.
+    angle_axes: Vec<usize>,
     rated: Rpm,
     /// The labels of tools as a run has them, with their numbers.
     codes: Vec<(f64, u16)>,
@@ -114,7 +114,7 @@ impl<'b> BridgeRun<'b> {
         Self {
             bridge,
             calibration: bridge.compiled.calibration(),
-            head_axes: machine.head_axes.iter().map(|axis| axis.index()).collect(),
+            angle_axes: machine.angle_axes().iter().map(|axis| axis.index()).collect(),
             rated: rpm(rated.unwrap_or(1.0)),
             codes: machine.spindle.tools.iter().flat_map(Tools::codes).collect(),
             starts_s: machine
@@ -157,10 +157,11 @@ impl<'b> BridgeRun<'b> {
             place.travel[n].update(&axis.travel, place.position[n], direction);
         }
         let angle = |n: usize| {
-            let degrees = self.head_axes.get(n).map_or(0.0, |&axis| situation.angle_deg[axis]);
+            let degrees = self.angle_axes.get(n).map_or(0.0, |&axis| situation.angle_deg[axis]);
             MicroDegrees((degrees * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
         };
-        let direction = calibration.kinematics.direction([angle(0), angle(1)]);
+        place.angles = [angle(0), angle(1)];
+        let direction = calibration.kinematics.direction(place.angles);
         // Without limits: what the tick would clamp is shown as it is.
         let axes = calibration.errors(&self.heat, &place).sums(UNLIMITED).sums;
         let (error, _) = tip::error_at_tip(elongation, direction, axes, UNLIMITED);

@@ -6,12 +6,14 @@ use trueup_core::{
     curve::Curve,
     pitch::Pitch,
     thermal::Law,
+    volume::Volume,
 };
 
 use super::difference::{
     curve_difference, law_difference_nm, metre_of, pitch_difference_nm, spindle_difference_nm,
-    term_difference_nm,
+    term_difference_nm, volume_difference_nm,
 };
+use crate::compile::term::LEVER_M;
 use crate::stored::{FINE_PER_NM, NM_PER_UM};
 
 /// Returns what is different in `new`, a sentence each; empty: the board computes the same by both.
@@ -62,6 +64,7 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
             all.push(with_size(&what, Some(metre_of(a, b)), " over 1 m"));
         }
     }
+    volume_change(old.volume.as_ref(), new.volume.as_ref(), &mut all);
     let terms = old.terms.iter().zip(&new.terms).filter(|(a, b)| a != b);
     for (number, (a, b)) in (1..).zip(terms) {
         let size = a.as_ref().zip(b.as_ref()).and_then(|(a, b)| term_difference_nm(a, b));
@@ -89,6 +92,19 @@ pub fn changes(old: &Calibration<'_>, new: &Calibration<'_>) -> Vec<String> {
     }
     limit_changes(old, new, &mut all);
     all
+}
+
+fn volume_change(a: Option<&Volume<'_>>, b: Option<&Volume<'_>>, all: &mut Vec<String>) {
+    let what = "angular and location errors";
+    match (a, b) {
+        (None, Some(_)) => all.push(format!("{what}: they are added")),
+        (Some(_), None) => all.push(format!("{what}: they are gone")),
+        (Some(a), Some(b)) if a != b => all.push(match volume_difference_nm(a, b) {
+            Some(nm) => with_size(what, Some(nm / LEVER_M), " at a lever of 1 m"),
+            None => format!("{what}: other axes, points or tool"),
+        }),
+        _ => {}
+    }
 }
 
 /// Returns a change with its size, where it is known.

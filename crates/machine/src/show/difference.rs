@@ -13,6 +13,7 @@ use trueup_core::{
     tool::Direction,
     travel::Fraction,
     units::{Code, Position, READINGS_PER_CODE, Temperature},
+    volume::Volume,
     warmup,
 };
 
@@ -52,6 +53,8 @@ pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<
     for (a, b) in a.squareness.iter().zip(b.squareness) {
         worst = worst.max(metre_of(*a, b));
     }
+    let volume = both(a.volume.as_ref(), b.volume.as_ref(), volume_difference_nm)?;
+    worst = worst.max(volume * MOST_LEVERS);
     for (a, b) in a.terms.iter().zip(&b.terms) {
         worst = worst.max(both(a.as_ref(), b.as_ref(), term_difference_nm)?);
     }
@@ -196,6 +199,32 @@ pub(super) fn curve_difference(a: &Curve<'_>, b: &Curve<'_>) -> f64 {
         start = end;
     }
     f64::from(worst)
+}
+
+/// Returns how far the errors of two volumes are apart at the board's lever, in nm; `None` where their axes or
+/// points are others.
+pub(super) fn volume_difference_nm(a: &Volume<'_>, b: &Volume<'_>) -> Option<f64> {
+    let lines =
+        |it: &Volume<'_>| it.rotary.map(|it| it.map(|it| (it.axis, it.moves_workpiece, it.point)));
+    let points = |it: &Volume<'_>| it.guides.map(|guide| guide.point);
+    let is_alike =
+        a.chain == b.chain && a.tool == b.tool && lines(a) == lines(b) && points(a) == points(b);
+    if !is_alike {
+        return None;
+    }
+    let mut worst: f64 = 0.0;
+    let guides = a.guides.iter().zip(&b.guides);
+    for (a, b) in guides.flat_map(|(a, b)| a.about.iter().zip(&b.about)) {
+        // A slope is over 1 m, a curve where it is largest.
+        let curves = curve_difference(&a.curve, &b.curve).max(curve_difference(&b.curve, &a.curve));
+        worst = worst.max(metre_of(a.slope, b.slope)).max(curves / FINE_PER_NM);
+    }
+    for (a, b) in a.rotary.iter().flatten().zip(b.rotary.iter().flatten()) {
+        let pairs = a.shift.iter().chain(&a.tilt).zip(b.shift.iter().chain(&b.tilt));
+        let off = pairs.map(|(a, b)| a.0.abs_diff(b.0)).max().unwrap_or(0);
+        worst = worst.max(f64::from(off) / FINE_PER_NM);
+    }
+    Some(worst)
 }
 
 /// Returns how far two terms are apart, in nm; `None` where they are not the same kind of thing.

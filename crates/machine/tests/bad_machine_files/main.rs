@@ -1,6 +1,7 @@
 //! Machine files that must be refused, each with its place and the rule it breaks.
 
 mod axes;
+mod volume;
 
 use std::path::Path;
 

@@ -22,6 +22,7 @@ pub(crate) fn tests_calibration() -> Calibration<'static> {
         axes: Default::default(),
         straightness: Default::default(),
         squareness: Default::default(),
+        volume: None,
         terms: Default::default(),
         limits: Limits {
             max: [Nanometres(500_000); 3],

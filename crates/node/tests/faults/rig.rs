@@ -86,6 +86,7 @@ pub fn calibration() -> Calibration<'static> {
         axes: [x, AxisModel::default(), AxisModel::default()],
         straightness: Default::default(),
         squareness: Default::default(),
+        volume: None,
         terms: Default::default(),
         limits: Limits {
             max: [200_000, 200_000, 500_000].map(Nanometres),

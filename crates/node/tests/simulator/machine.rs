@@ -62,6 +62,7 @@ pub fn calibration(table: usize) -> Calibration<'static> {
         ],
         straightness: Default::default(),
         squareness: Default::default(),
+        volume: None,
         terms: Default::default(),
         limits: Limits {
             max: [Nanometres(MAX_NM); 3],

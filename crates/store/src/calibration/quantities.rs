@@ -184,12 +184,7 @@ impl<'b> Field<'b> for HeadAxes {
     const SIZE: usize = 4;
 
     fn put(&self, to: &mut Writer<'_>) {
-        let [first, second] = self.0.map(|axis| match axis {
-            None => 0,
-            Some(RotaryAxis::A) => 1,
-            Some(RotaryAxis::B) => 2,
-            Some(RotaryAxis::C) => 3,
-        });
+        let [first, second] = self.0.map(rotary_number);
         let [growth, axes] = self.1;
         to.bytes(&[first, second, growth, axes]);
     }
@@ -198,14 +193,29 @@ impl<'b> Field<'b> for HeadAxes {
         let offset = from.at;
         let [first, second, growth, axes] = from.bytes();
         let caps = [from.cap(growth, MAX_LEARNED.growth), from.cap(axes, MAX_LEARNED.axes)];
-        let turning = [first, second].map(|number| match number {
-            0 => None,
-            1 => Some(RotaryAxis::A),
-            2 => Some(RotaryAxis::B),
-            3 => Some(RotaryAxis::C),
-            found => from.refuse_value(offset, found),
-        });
+        let turning = [first, second].map(|number| rotary_axis(number, offset, from));
         Self(turning, caps)
+    }
+}
+
+/// Returns the number of a rotary axis; 0 of none.
+pub(super) const fn rotary_number(axis: Option<RotaryAxis>) -> u8 {
+    match axis {
+        None => 0,
+        Some(RotaryAxis::A) => 1,
+        Some(RotaryAxis::B) => 2,
+        Some(RotaryAxis::C) => 3,
+    }
+}
+
+/// Returns the rotary axis with this number, which stands at `offset`; none of 0.
+pub(super) fn rotary_axis(number: u8, offset: usize, from: &mut Reader<'_>) -> Option<RotaryAxis> {
+    match number {
+        0 => None,
+        1 => Some(RotaryAxis::A),
+        2 => Some(RotaryAxis::B),
+        3 => Some(RotaryAxis::C),
+        found => from.refuse_value(offset, found),
     }
 }
 

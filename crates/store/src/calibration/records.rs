@@ -93,6 +93,7 @@ impl<'b> FixedPart<'b> {
             axes,
             straightness,
             squareness,
+            volume,
             terms,
             limits:
                 Limits { max, slew_nm_per_s, link_timeout_ms, hold_ms, rejoin_nm_per_s, learned },
@@ -130,7 +131,7 @@ impl<'b> FixedPart<'b> {
             straightness,
             squareness,
             spindle_smoothing_falling: temperature.map_or(none, |it| it.smoothing_falling),
-            terms,
+            terms: Terms(terms, volume),
             rejoin: RejoinAndSwitches(rejoin_nm_per_s, service_switch, mains),
             cold_within: ColdWithin(cold_within),
             board,
@@ -161,7 +162,8 @@ impl<'b> FixedPart<'b> {
             axes: self.axes.map(AxisRecord::axis),
             straightness: self.straightness,
             squareness: self.squareness,
-            terms: self.terms,
+            terms: self.terms.0,
+            volume: self.terms.1,
             limits: Limits {
                 max: self.max_offsets.map(|max| max.0),
                 slew_nm_per_s: self.slew_nm_per_s.0,

@@ -8,19 +8,23 @@ use trueup_core::{
     gradient::Gradient,
     lag::SmoothingFactor,
     pitch::Pitch,
-    term::{Effect, Factor, OnOff, SpeedPower, Target, Term, Tilt, ToolTable},
+    term::{self, Effect, Factor, OnOff, SpeedPower, Target, Term, Tilt, ToolTable},
     travel::Interval,
     units::{Fine, Position, Temperature},
+    volume::Volume,
 };
 
 use super::{
     error::BlobError,
     quantities::linear_axis,
+    volume,
     wire::{Field, Reader, Writer},
 };
 
 /// Bytes of a term.
 const TERM_SIZE: usize = 24;
+/// Bytes of its head and its constant.
+const HEAD_SIZE: usize = 8;
 /// The most binary places of a coefficient.
 const MAX_SHIFT: u8 = 62;
 /// The bytes of a term's head, next to its kind, which is the first.
@@ -28,37 +32,55 @@ const TARGET: usize = 1;
 const INPUT: usize = 2;
 const SHIFT: usize = 3;
 
-pub(super) type Terms<'b> = [Option<Term<'b>>; MAX_TERMS];
+/// The terms, and after them the errors of the volume, which a calibration may have next to them.
+pub(super) struct Terms<'b>(pub term::Terms<'b>, pub Option<Volume<'b>>);
 
 impl<'b> Field<'b> for Terms<'b> {
     const SIZE: usize = 4;
 
     fn put(&self, to: &mut Writer<'_>) {
+        let Self(terms, volume) = self;
         // Room first: the tables of the terms come behind all of them.
-        let room = [[0_u8; TERM_SIZE]; MAX_TERMS];
-        let mut place = to.table(room.get(..self.iter().flatten().count()).unwrap_or_default());
-        for term in self.iter().flatten() {
+        let room = [[0_u8; TERM_SIZE]; MAX_TERMS + 1];
+        let count = terms.iter().flatten().count().saturating_add(volume.iter().count());
+        let mut place = to.table(room.get(..count).unwrap_or_default());
+        for term in terms.iter().flatten() {
             to.term = place;
             to.elsewhere(place, |to| term.put(to));
             place = place.saturating_add(TERM_SIZE);
+        }
+        if let Some(it) = volume {
+            to.elsewhere(place, |to| {
+                to.bytes(&[volume::KIND, 0, 0, 0]);
+                Fine::ZERO.put(to);
+                volume::put(it, to);
+            });
         }
     }
 
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let records = from.table::<TERM_SIZE>();
-        if records.len() > MAX_TERMS {
-            from.refuse(BlobError::Table { offset });
-        }
         let start = from.elsewhere(offset, u32::get) & 0xFFFF;
         let mut place = usize::try_from(start).unwrap_or(usize::MAX);
-        let mut terms = [None; MAX_TERMS];
-        for (term, _) in terms.iter_mut().zip(records) {
+        let mut all = Self([None; MAX_TERMS], None);
+        // The volume is the last.
+        let (terms, last) = match records.split_last() {
+            Some(([volume::KIND, ..], terms)) => (terms, true),
+            _ => (records, false),
+        };
+        if terms.len() > MAX_TERMS {
+            from.refuse(BlobError::Table { offset });
+        }
+        for (term, _) in all.0.iter_mut().zip(terms) {
             from.term = place;
             *term = Some(from.elsewhere(place, Term::get));
             place = place.saturating_add(TERM_SIZE);
         }
-        terms
+        if last {
+            all.1 = from.elsewhere(place.saturating_add(HEAD_SIZE), volume::get);
+        }
+        all
     }
 }
 

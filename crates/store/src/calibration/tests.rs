@@ -150,6 +150,7 @@ pub(crate) fn with_sample<T>(check: impl FnOnce(Calibration<'_>) -> T) -> T {
         axes: [axis, AxisModel::default(), AxisModel { backlash: Fine(4), ..AxisModel::default() }],
         straightness: [curve, Curve::default(), curve, Curve::default(), Curve::default(), curve],
         squareness: [-3, -2, -1, 0, 1, 2].map(Gradient),
+        volume: None,
         terms,
         limits: Limits {
             max: [200_000, 200_000, 500_000].map(Nanometres),
@@ -187,15 +188,17 @@ pub(crate) fn pitch_of(points: &[[u8; 4]]) -> Pitch<'_> {
     Pitch { start: Position(0), step: Interval::new(1_000), forward: points, reverse: None }
 }
 
+/// Returns its blob.
+pub(crate) fn blob(calibration: &Calibration<'_>) -> Vec<u8> {
+    encode(calibration, &mut [0; MAX_SIZE]).expect("it is small").to_vec()
+}
+
 fn sample() -> Vec<u8> {
-    with_sample(|calibration| {
-        let mut bytes = [0; MAX_SIZE];
-        encode(&calibration, &mut bytes).expect("it is small").to_vec()
-    })
+    with_sample(|calibration| blob(&calibration))
 }
 
 /// The blob with its CRC made right again.
-fn mended(mut blob: Vec<u8>) -> Vec<u8> {
+pub(crate) fn mended(mut blob: Vec<u8>) -> Vec<u8> {
     let end = blob.len() - CRC_SIZE;
     let crc = crc::checksum(&blob[..end]).to_le_bytes();
     blob[end..].copy_from_slice(&crc);
@@ -227,8 +230,7 @@ fn a_tilt_and_heat_by_the_speed_come_back_and_what_is_without_a_meaning_is_refus
         let heat = Effect::SpeedHeat { power, smoothing, per_unit };
         let terms = [line, curve, heat].map(term);
         calibration.terms.iter_mut().zip(terms).for_each(|(place, term)| *place = term);
-        let mut bytes = [0; MAX_SIZE];
-        let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
+        let blob = blob(&calibration);
         assert_eq!(decode(&blob), Ok(calibration));
         blob
     });
@@ -293,8 +295,7 @@ fn a_rapid_traverse_stands_where_older_blobs_have_a_0_that_nobody_read() {
     let mut calibration = decode(&older).expect("of the first writer");
     assert_eq!(calibration.axes.map(|axis| axis.rapid), [0; 3]);
     calibration.axes[1].rapid = 25_000;
-    let mut buffer = [0; MAX_SIZE];
-    let newer = encode(&calibration, &mut buffer).expect("it fits");
+    let newer = &blob(&calibration)[..];
     assert_eq!(decode(newer), Ok(calibration));
     // 80 bytes an axis, its last word.
     let at = 208 + 2 * 80 - 4;
@@ -406,8 +407,7 @@ fn as_many_terms_as_the_board_has_come_back_and_one_more_is_refused() {
     let blob = with_sample(|mut calibration| {
         let [first, ..] = calibration.terms;
         calibration.terms = [first; MAX_TERMS];
-        let mut bytes = [0; MAX_SIZE];
-        let blob = encode(&calibration, &mut bytes).expect("it is small").to_vec();
+        let blob = blob(&calibration);
         assert_eq!(decode(&blob), Ok(calibration));
         blob
     });

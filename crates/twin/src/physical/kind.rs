@@ -135,6 +135,8 @@ pub(super) fn bare(kind: Kind, measured: Quantity) -> Scenario {
         axis: BTreeMap::new(),
         straightness: Vec::new(),
         abbe: Vec::new(),
+        body: Vec::new(),
+        tip_mm: [0.0; 3],
         instrument: InstrumentConfig::default(),
         segment: Vec::new(),
     }

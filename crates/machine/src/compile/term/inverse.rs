@@ -101,10 +101,7 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
             OnBoard::Tilt(tilt(own, it, Angle::Line(written(it.angle.0, per_unit))))
         }
         Effect::TiltCurve(it) => {
-            let mut spline = curve::inverse(&it.angle);
-            // As fine as the µm are there.
-            let urad = |um: &mut f64| *um = (*um / LEVER_M * 1e8).round() / 1e8 + 0.0;
-            spline.control_um.iter_mut().for_each(urad);
+            let spline = curve::inverse_angle(&it.angle, LEVER_M);
             OnBoard::Tilt(tilt(own, it, Angle::Curve(spline)))
         }
         Effect::Tool(table) => category::tools_inverse(table),

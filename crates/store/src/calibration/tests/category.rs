@@ -77,11 +77,11 @@ fn as_many_tools_as_the_board_knows_come_back_and_one_more_is_refused() {
 fn a_kind_that_the_firmware_does_not_know_is_refused_by_its_number_and_place() {
     let mut blob = blob_of([Effect::Offset, Effect::Offset]);
     let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
-    blob[terms + 24] = 18;
-    let refused = BlobError::Value { offset: terms + 24, found: 18 };
+    blob[terms + 24] = 19;
+    let refused = BlobError::Value { offset: terms + 24, found: 19 };
     assert_eq!(decode(&mended(blob)), Err(refused));
     assert_eq!(
         std::string::ToString::to_string(&refused),
-        std::format!("18 at {} has no meaning", terms + 24)
+        std::format!("19 at {} has no meaning", terms + 24)
     );
 }
