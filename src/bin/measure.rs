@@ -32,10 +32,12 @@ use trueup_core::{
     gradient::Gradient,
     health::Health,
     heat::Heat,
+    kinematics::RotaryAxis,
     limits::Applied,
     place::Place,
     travel::Fraction,
     units::{Code, Fine, MicroDegrees, Nanometres, Position, Reading, Rpm},
+    volume::{Angle, AngularErrors, Chain, RotaryLocation, Volume},
     window::Window,
 };
 use trueup_link::frames;
@@ -298,6 +300,43 @@ fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
         at.position = place(random);
         let axis = LinearAxis::ALL[random.below(3) as usize];
         cost(&mut || cached.moved(calibration, &heat, &at, axis))
+    });
+    black_box(cached.errors());
+    parts_of_volume(calibration, part);
+}
+
+/// Measures the same with all nine angles as curves and two rotary axes under the workpiece, the most there can be.
+fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
+    let [a, b, c, d, e, f] = calibration.straightness;
+    let line = |axis, tilt| RotaryLocation {
+        axis,
+        moves_workpiece: true,
+        point: [Position(30_000_000); 3],
+        shift: [Fine(2_000); 3],
+        tilt: [Fine(tilt); 3],
+    };
+    let guides = [[a, b, c], [d, e, f], [f, c, a]].map(|curves| AngularErrors {
+        point: [Position(1_000); 3],
+        about: curves.map(|curve| Angle { slope: Gradient::ZERO, curve }),
+    });
+    let volume = Volume {
+        chain: Chain::default(),
+        guides,
+        tool: [Position(-10_000_000); 3],
+        rotary: [Some(line(RotaryAxis::A, 500)), Some(line(RotaryAxis::C, -700))],
+    };
+    let calibration = Calibration { volume: Some(volume), ..*calibration };
+    let heat = Heat::default();
+    let mut at = Place::default();
+    let mut cached = CachedErrors::at(&calibration, &heat, &at);
+    part("moved_volume", &mut |random| {
+        at.position = place(random);
+        let axis = LinearAxis::ALL[random.below(3) as usize];
+        cost(&mut || cached.moved(&calibration, &heat, &at, axis))
+    });
+    part("turned_volume", &mut |random| {
+        at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.around(most)));
+        cost(&mut || cached.turned(&calibration, &at))
     });
     black_box(cached.errors());
 }

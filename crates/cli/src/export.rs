@@ -74,6 +74,8 @@ enum Control {
     /// LinuxCNC, COMP_FILE.
     #[value(name = "linuxcnc")]
     LinuxCnc,
+    /// TwinCAT CNC (ISG kernel), volumetric compensation.
+    Isg,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -94,6 +96,7 @@ pub fn run(args: &Export, as_json: bool) -> Result<Outcome> {
         Control::Fanuc => Format::Fanuc,
         Control::Heidenhain => Format::Heidenhain,
         Control::LinuxCnc => Format::LinuxCnc,
+        Control::Isg => Format::Isg,
     };
     let export = export(&machine, format, &options)
         .map_err(|refused| UserError(format!("{}: {refused}", file.display())))?;

@@ -99,6 +99,8 @@ pub fn run(vectors: u32) -> Result<Measured> {
             "health": at("health", 1)?,
             "window": at("window", 1)?,
             "moved": at("moved", 1)?,
+            "moved_volume": at("moved_volume", 1)?,
+            "turned_volume": at("turned_volume", 1)?,
             "elongation": at("elongation", 1)?,
             "thermal": at("thermal", 1)?,
             "straightness6": at("straightness6", 1)?,

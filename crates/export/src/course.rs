@@ -208,6 +208,12 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
         let name = if is_list { "spindle.tools".into() } else { term_name(index, term) };
         left_out.push((name, reason.to_string()));
     }
+    left_out
+}
+
+/// Returns the angles and lines that a control with tables of one axis cannot hold, each with the reason.
+pub(crate) fn volume_left_out(machine: &Machine) -> Vec<(String, String)> {
+    let mut left_out = Vec::new();
     const BY_LEVER: &str = "an angle acts by its lever along other axes, which no table of one axis holds; the bridge corrects it";
     const LINE: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
                         transformation data); the bridge corrects it";

@@ -12,6 +12,7 @@
 //! | [`fanuc`] | increments −7 … +7 by point number, straightness |
 //! | [`heidenhain`] | `.COM` and `.CMA` |
 //! | [`linuxcnc`] | `COMP_FILE` of type 1 |
+//! | [`isg`] | TwinCAT and other ISG kernels: component errors of the whole volume |
 //! | [`report`] | what was exported, with which difference, and what could not be |
 //! | `course` | the parts of a machine as functions of a position |
 //! | `grid` | equidistant points, and the best few of many points |
@@ -28,6 +29,7 @@ mod course;
 pub mod fanuc;
 mod grid;
 pub mod heidenhain;
+pub mod isg;
 pub mod linuxcnc;
 pub mod report;
 pub mod siemens;
@@ -50,11 +52,14 @@ pub enum Format {
     Heidenhain,
     /// LinuxCNC with a file of screw compensation for each joint.
     LinuxCnc,
+    /// TwinCAT CNC, or another control with the ISG kernel, with volumetric compensation.
+    Isg,
 }
 
 impl Format {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Siemens840d, Self::Fanuc, Self::Heidenhain, Self::LinuxCnc];
+    pub const ALL: [Self; 5] =
+        [Self::Siemens840d, Self::Fanuc, Self::Heidenhain, Self::LinuxCnc, Self::Isg];
 
     /// Its name on the command line.
     #[must_use]
@@ -64,6 +69,7 @@ impl Format {
             Self::Fanuc => "fanuc",
             Self::Heidenhain => "heidenhain",
             Self::LinuxCnc => "linuxcnc",
+            Self::Isg => "isg",
         }
     }
 }
@@ -193,7 +199,11 @@ pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Ex
     let machine = &machine;
     let mut export =
         Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
-    for (section, reason) in course::terms_left_out(machine, options) {
+    let mut left_out = course::terms_left_out(machine, options);
+    if format != Format::Isg {
+        left_out.extend(course::volume_left_out(machine));
+    }
+    for (section, reason) in left_out {
         export.report.leave_out(section, reason);
     }
     match format {
@@ -201,6 +211,7 @@ pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Ex
         Format::Fanuc => fanuc::export(machine, options, &mut export),
         Format::Heidenhain => heidenhain::export(machine, options, &mut export),
         Format::LinuxCnc => linuxcnc::export(machine, options, &mut export),
+        Format::Isg => isg::export(machine, options, &mut export),
     }
     if export.files.is_empty() {
         return Err(Refused { format, left_out: export.report.left_out });
