@@ -40,7 +40,7 @@ const MOST_ROWS: usize = 2_000;
 /// The lines between the rows are kept this near, in µm, angles at a lever of 1 m.
 const TOLERANCE_UM: f64 = 0.02;
 /// A travel is looked at in this many equal parts before its best points are chosen.
-const CANDIDATES: u32 = 4_000;
+const CANDIDATES: u32 = 1_000;
 /// Offsets to 0.01 nm, angles to 10⁻¹¹ rad, positions to 0.1 nm.
 const OFFSET_DECIMALS: usize = 8;
 const ANGLE_DECIMALS: usize = 11;

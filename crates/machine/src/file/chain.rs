@@ -9,10 +9,7 @@
 
 use std::fmt;
 
-use super::{
-    axis::{LinearAxis, RotaryAxis},
-    machine::Kind,
-};
+use super::axis::{LinearAxis, RotaryAxis};
 
 /// The axes between the workpiece and the tool.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -97,42 +94,6 @@ impl Chain {
         }
         let on_workpiece = workpiece.iter().filter_map(Link::linear).count();
         Ok(Self { linear, on_workpiece, head, table })
-    }
-
-    /// Holds it against the other keys of `[machine]`.
-    ///
-    /// # Errors
-    /// The rule that is broken; it goes on after the key.
-    pub(super) fn check(&self, kind: Kind, head_axes: &[RotaryAxis]) -> Result<(), String> {
-        if kind == Kind::Lathe {
-            return Err(
-                "is not known for kind = \"lathe\": its workpiece turns with the spindle".into()
-            );
-        }
-        let names = |axes: &[RotaryAxis]| {
-            let names = axes.iter().map(|axis| format!("\"{}\"", axis.name()));
-            names.collect::<Vec<_>>().join(", ")
-        };
-        if self.head != head_axes {
-            return Err(format!(
-                "turns the tool by [{}], and head_axes is [{}]: they must be the same, in the same order",
-                names(&self.head),
-                names(head_axes)
-            ));
-        }
-        let of_kind = match kind {
-            Kind::HeadTable => 0..=1,
-            Kind::TableTable => 1..=2,
-            Kind::ThreeAxis | Kind::HeadHead | Kind::Lathe => 0..=0,
-        };
-        if !of_kind.contains(&self.table.len()) {
-            return Err(format!(
-                "turns the workpiece by [{}], which is not kind = \"{}\"",
-                names(&self.table),
-                kind.name()
-            ));
-        }
-        Ok(())
     }
 }
 

@@ -133,7 +133,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
     };
     let chain = section.text("chain")?.map(|written| {
         let chain = Chain::parse(written)?;
-        chain.check(kind, &head_axes).map(|()| chain)
+        check_chain(&chain, kind, &head_axes).map(|()| chain)
     });
     let chain =
         chain.transpose().map_err(|rule| section.bad("chain", rule).with_help(CHAIN_HELP))?;
@@ -183,6 +183,42 @@ fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, 
         return Err(section.bad("head_axes", rule));
     }
     Ok(axes)
+}
+
+/// Holds a chain against the other keys of `[machine]`.
+///
+/// # Errors
+/// The rule that is broken; it goes on after the key.
+fn check_chain(chain: &Chain, kind: Kind, head_axes: &[RotaryAxis]) -> Result<(), String> {
+    if kind == Kind::Lathe {
+        return Err(
+            "is not known for kind = \"lathe\": its workpiece turns with the spindle".into()
+        );
+    }
+    let names = |axes: &[RotaryAxis]| {
+        let names = axes.iter().map(|axis| format!("\"{}\"", axis.name()));
+        names.collect::<Vec<_>>().join(", ")
+    };
+    if chain.head != head_axes {
+        return Err(format!(
+            "turns the tool by [{}], and head_axes is [{}]: they must be the same, in the same order",
+            names(&chain.head),
+            names(head_axes)
+        ));
+    }
+    let of_kind = match kind {
+        Kind::HeadTable => 0..=1,
+        Kind::TableTable => 1..=2,
+        Kind::ThreeAxis | Kind::HeadHead | Kind::Lathe => 0..=0,
+    };
+    if !of_kind.contains(&chain.table.len()) {
+        return Err(format!(
+            "turns the workpiece by [{}], which is not kind = \"{}\"",
+            names(&chain.table),
+            kind.name()
+        ));
+    }
+    Ok(())
 }
 
 /// `vector` at length 1, or `None` if it has no direction.
