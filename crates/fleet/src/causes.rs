@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
     constants::{Found, nothing},
-    pool::{Estimate, pool},
+    pool::{Estimate, MIN_MACHINES, pool},
     record::Record,
     report::Cause,
 };
@@ -54,26 +54,31 @@ fn sizes<'r>(of: &mut Of<'r>, machine: &'r str, found: &'r Found) {
     }));
 }
 
+/// Returns the side on which machines together exclude that a parameter does nothing: −1 or 1; none where they do not.
+fn side(sizes: &[&Size<'_>], parameter: &str) -> Option<f64> {
+    let of_parameter = sizes.iter().filter(|it| it.1 == parameter);
+    let estimates: Vec<Estimate> = of_parameter.map(|it| it.2).collect();
+    let mean = pool(&estimates)?.mean;
+    let [low, high] = mean.ci95();
+    (low > 0.0 || high < 0.0).then(|| mean.value.signum())
+}
+
 /// Returns whether other machines than the one that claims it have a cause too.
 fn is_confirmed(of: &Of<'_>) -> bool {
-    match of.claimed.len() {
-        0 => false,
-        1 => {
-            let parameters: BTreeSet<&str> = of.sizes.iter().map(|it| it.1).collect();
-            parameters.into_iter().any(|parameter| {
-                let sizes = of.sizes.iter().filter(|it| it.1 == parameter);
-                let (claims, others): (Vec<&Size<'_>>, Vec<&Size<'_>>) =
-                    sizes.partition(|it| of.claimed.contains(it.0));
-                let claim = claims.iter().filter(|it| it.3).map(|it| it.2.value).sum::<f64>();
-                let others: Vec<Estimate> = others.into_iter().map(|it| it.2).collect();
-                pool(&others).is_some_and(|it| {
-                    let [low, high] = it.mean.ci95();
-                    (low > 0.0 && claim > 0.0) || (high < 0.0 && claim < 0.0)
-                })
-            })
-        }
-        _ => true,
-    }
+    let is_claim = |it: &&Size<'_>| of.claimed.contains(it.0);
+    let (claims, others): (Vec<&Size<'_>>, Vec<&Size<'_>>) = of.sizes.iter().partition(is_claim);
+    let is_same = |claim: &&Size<'_>| {
+        claim.3 && side(&others, claim.1).is_some_and(|side| side * claim.2.value > 0.0)
+    };
+    of.claimed.len() > 1 || claims.iter().any(is_same)
+}
+
+/// Returns whether machines of which none claims a cause exclude together that it does nothing.
+fn is_supported(of: &Of<'_>) -> bool {
+    let all: Vec<&Size<'_>> = of.sizes.iter().collect();
+    of.claimed.is_empty()
+        && of.found.len() >= MIN_MACHINES
+        && all.iter().any(|it| side(&all, it.1).is_some())
 }
 
 fn cause(name: &str, of: &Of<'_>) -> Cause {
@@ -87,6 +92,10 @@ fn cause(name: &str, of: &Of<'_>) -> Cause {
         (0, _) if of.found.is_empty() => {
             format!("{} cannot exclude it.", capital(&machines(of.alternative.len())))
         }
+        (0, _) if is_supported(of) => format!(
+            "Found on {}, and claimed on none; together they exclude that it does nothing.",
+            machines(of.found.len())
+        ),
         (0, _) => format!("Found on {}, and claimed on none.", machines(of.found.len())),
         (1, true) => format!("Claimed on 1 machine, and confirmed by {others} of the others."),
         (1, false) if others == 0 => {
@@ -106,6 +115,7 @@ fn cause(name: &str, of: &Of<'_>) -> Cause {
         found_on: list(&of.found),
         alternative_on: list(&of.alternative),
         confirmed,
+        supported: is_supported(of),
         sentence,
     }
 }

@@ -116,6 +116,8 @@ pub struct Cause {
     pub alternative_on: Vec<String>,
     /// True if it is claimed on a machine, and other machines have it too.
     pub confirmed: bool,
+    /// True if no machine claims it, and at least four that found it exclude together that it does nothing.
+    pub supported: bool,
     /// What it means.
     pub sentence: String,
 }
