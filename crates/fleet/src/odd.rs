@@ -12,8 +12,8 @@
 //! | it is taken out for the comparison of others | 1 % for the series |
 //!
 //! `p_series` is corrected for the number of machines and constants (Holm 1979): it says how often a series of
-//! healthy machines has one such. At 1 % of that only 3 of 4 machines of 30 would be found that are off by five spreads
-//! on top of their own.
+//! healthy machines has one such. With that at 1 % in the place of the first level, 94 % of machines would be found
+//! that are exactly five spreads off among 30, and fewer that are so on top of their own spread.
 
 use serde::Serialize;
 use trueup_numerics::t_probability;
