@@ -8,8 +8,9 @@ use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
 use trueup_compare::dated;
 use trueup_fleet::{
-    page, record, result, series,
+    page, result, series,
     store::Store,
+    structure,
     worker::{self, Entry, Options, Tally},
 };
 use trueup_output::escape::shell_word;
@@ -213,13 +214,11 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
         let rule = "has no result: trueup fleet worker makes them";
         return Err(UserError(format!("{}: {rule}", args.dir.display())).into());
     }
-    let missing = record::missing(&records);
-    for ((id, record), wanted) in ids.iter().zip(&mut records).zip(&missing) {
-        if wanted.is_empty() {
-            continue;
-        }
-        match report::with_warnings(false, || job::fitted(&store, id, record, wanted)) {
-            Ok(fitted) => record.fitted = fitted,
+    let asked = structure::asked(&records);
+    for ((id, record), asked) in ids.iter().zip(&mut records).zip(asked) {
+        let Some(asked) = asked else { continue };
+        match report::with_warnings(false, || job::fitted(&store, id, &record.quantity, &asked)) {
+            Ok(answered) => record.take(answered),
             Err(why) => {
                 report::warn(format_args!("results/{id}: {why}"));
                 notes.push(format!("results/{id}: {why}"));

@@ -70,7 +70,7 @@ pub use answer::{
     report::{self, AtTool, Report, Verdict},
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
-pub use named::{Named, NamedFit, fit_named};
+pub use named::{Named, NamedFit, NamedFits, fit_named};
 pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
 use trueup_machine::{
     BadInput, Machine, RunFile,

@@ -1,8 +1,8 @@
 //! Causes of other machines of the same kind, fitted to the runs of this one: what a series asks of a machine whose own
 //! diagnosis did not find them.
 //!
-//! Nothing is searched and nothing is claimed. The model has the causes that the machine's own diagnosis has found; each
-//! further one is added alone, fitted with all others, and comes back with its intervals, which may include nothing.
+//! Nothing is searched and nothing is claimed. The causes of the model are fitted together; each further one is added alone,
+//! fitted with all others. All come back with their intervals, which may include nothing.
 
 use std::sync::Arc;
 
@@ -14,13 +14,13 @@ use crate::{
     answer::applied::Bridge,
     data::{Data, Groups, quantity_of},
     fit::{Fitted, Problem, fit},
-    kind::Kind,
+    kind::{Kind, Part},
     model::Model,
     outliers,
     parameters::estimates,
     search::{
         criterion::noise_of,
-        extend::{Extension, with_each_cause},
+        extend::{Extension, with_each_cause, without},
         start,
     },
 };
@@ -63,8 +63,17 @@ impl Named<'_> {
     }
 }
 
-/// Fits each of the causes `wanted` to `runs`, next to those that the machine's own diagnosis has `found`; none for a cause
-/// that these data do not allow.
+/// What was fitted to the runs of a machine.
+#[derive(Clone, Debug)]
+pub struct NamedFits {
+    /// The causes of the model, all fitted together.
+    pub together: Vec<Option<NamedFit>>,
+    /// Each further cause, alone next to that model.
+    pub alone: Vec<Option<NamedFit>>,
+}
+
+/// Fits the causes `together` to `runs` as one model, and each of the causes `alone` next to it; none for a cause that
+/// these data do not allow.
 ///
 /// # Errors
 /// As those of [`crate::diagnose`].
@@ -72,30 +81,33 @@ pub fn fit_named(
     machine: &Machine,
     runs: &[RunFile],
     options: Options,
-    found: &[Named<'_>],
-    wanted: &[Named<'_>],
-) -> Result<Vec<Option<NamedFit>>, BadInput> {
+    together: &[Named<'_>],
+    alone: &[Named<'_>],
+) -> Result<NamedFits, BadInput> {
     let quantity = quantity_of(runs, options.quantity)?;
     let bridge = Bridge::of(machine, [runs, &[]], quantity, options.is_applied_once)?;
     let data = Arc::new(Data::applied(machine, runs, quantity, bridge.factor())?.trusted());
     let aside = outliers::among_repeats(&data, &Model::default().predict(&data));
-    let (problem, base) = with_found(&data, &aside, found);
+    let (problem, base) = with_all(&data, &aside, together);
     let gross = outliers::gross(&data, &base.model.predict(&data));
     let aside: Vec<bool> = aside.iter().zip(gross).map(|(there, gross)| *there || gross).collect();
     let (problem, base) =
-        if aside.contains(&true) { with_found(&data, &aside, found) } else { (problem, base) };
-    Ok(wanted.iter().map(|named| fitted(&problem, &base, named)).collect())
+        if aside.contains(&true) { with_all(&data, &aside, together) } else { (problem, base) };
+    Ok(NamedFits {
+        together: together.iter().map(|named| of_model(&problem, &base, named)).collect(),
+        alone: alone.iter().map(|named| next_to(&problem, &base, named)).collect(),
+    })
 }
 
-/// Returns the model with the causes that were found, fitted without the rows `aside`.
-fn with_found(data: &Arc<Data>, aside: &[bool], found: &[Named<'_>]) -> (Problem, Fitted) {
+/// Returns the model with all these causes, fitted without the rows `aside`.
+fn with_all(data: &Arc<Data>, aside: &[bool], causes: &[Named<'_>]) -> (Problem, Fitted) {
     let used: Vec<bool> =
         data.used.iter().zip(aside).map(|(used, aside)| *used && !aside).collect();
     let rows = used.iter().filter(|used| **used).count();
     let size = if data.quantity.axis().is_some() { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
     let problem = Problem::new(data.clone(), Groups::new(data, &used, size));
     let mut base = fit(&problem, &start(data), None);
-    for named in found {
+    for named in causes {
         if let Some(extension) = extension(&problem, &base, named) {
             base = extension.fitted;
         }
@@ -107,13 +119,24 @@ fn extension(problem: &Problem, base: &Fitted, named: &Named<'_>) -> Option<Exte
     Extension::best(with_each_cause(problem, base, MAX_HITS, |kind| named.is(kind)))
 }
 
-fn fitted(problem: &Problem, base: &Fitted, named: &Named<'_>) -> Option<NamedFit> {
+/// Returns what a cause of the model is worth in it.
+fn of_model(problem: &Problem, base: &Fitted, named: &Named<'_>) -> Option<NamedFit> {
+    let part = base.model.parts.iter().find(|part| named.is(&part.kind))?;
+    let without = fit(problem, &without(problem, &base.model, &part.kind), None);
+    Some(named_fit(problem, [&without, base], part))
+}
+
+fn next_to(problem: &Problem, base: &Fitted, named: &Named<'_>) -> Option<NamedFit> {
     let Extension { cause, fitted, .. } = extension(problem, base, named)?;
     let part = fitted.model.parts.iter().find(|part| part.kind == cause)?;
-    let noise = noise_of(problem, &fitted.residual, fitted.degrees);
-    Some(NamedFit {
-        parameters: estimates(problem, &fitted, part, noise).named,
-        rms_before_um: base.rms(),
-        rms_after_um: fitted.rms(),
-    })
+    Some(named_fit(problem, [base, &fitted], part))
+}
+
+fn named_fit(problem: &Problem, [before, after]: [&Fitted; 2], part: &Part) -> NamedFit {
+    let noise = noise_of(problem, &after.residual, after.degrees);
+    NamedFit {
+        parameters: estimates(problem, after, part, noise).named,
+        rms_before_um: before.rms(),
+        rms_after_um: after.rms(),
+    }
 }

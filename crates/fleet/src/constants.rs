@@ -37,6 +37,18 @@ pub struct Identity {
     pub form: Option<String>,
 }
 
+impl Identity {
+    /// Returns the name of a finding of it.
+    #[must_use]
+    pub fn name(&self, quantity: &str) -> String {
+        let words = [Some(&self.cause), self.column.as_ref(), self.form.as_ref()];
+        words
+            .into_iter()
+            .flatten()
+            .fold(quantity.to_string(), |name, word| format!("{name} {word}"))
+    }
+}
+
 /// A finding of a diagnosis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Found {

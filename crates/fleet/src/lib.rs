@@ -8,6 +8,7 @@
 //! | [`worker`] | threads that do jobs, one result each; where the jobs stand |
 //! | [`result`] | results, compared with their checksums |
 //! | [`constants`] | constants with their errors, out of a diagnosis |
+//! | [`structure`] | one structure of the model for all machines |
 //! | [`pool`] | one constant on many machines: mean, spread, shrunk values |
 //! | [`odd`] | a machine that is unlike the others |
 //! | [`drift`] | a constant of one machine over its days |
@@ -31,4 +32,5 @@ pub mod report;
 pub mod result;
 pub mod series;
 pub mod store;
+pub mod structure;
 pub mod worker;

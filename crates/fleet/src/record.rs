@@ -1,13 +1,8 @@
 //! A result of one machine as the series takes it, and what is open about a constant of it.
 
-use std::collections::BTreeSet;
-
 use trueup_compare::dated::Day;
 
-use crate::{
-    constants::{Found, Identity},
-    pool::Estimate,
-};
+use crate::{constants::Found, pool::Estimate};
 
 /// A result of one machine.
 #[derive(Clone, Debug)]
@@ -45,21 +40,4 @@ pub(crate) struct Open<'r> {
     pub record_se: f64,
     /// What its cause explains, RMS in µm.
     pub explains_um: f64,
-}
-
-/// Returns, for each record, the causes that another machine claims on the same quantity and its own diagnosis has not
-/// found.
-#[must_use]
-pub fn missing(records: &[Record]) -> Vec<Vec<Identity>> {
-    let of_record = |record: &Record| {
-        let others = records
-            .iter()
-            .filter(|other| other.machine != record.machine && other.quantity == record.quantity);
-        let claimed = others.flat_map(|other| &other.found).filter(|it| it.claimed);
-        let is_own = |name: &str| record.found.iter().any(|own| own.name == name);
-        let wanted = claimed.filter(|it| !it.constants.is_empty() && !is_own(&it.name));
-        let wanted: BTreeSet<&Identity> = wanted.filter_map(|it| it.identity.as_ref()).collect();
-        wanted.into_iter().cloned().collect()
-    };
-    records.iter().map(of_record).collect()
 }

@@ -253,10 +253,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::{
-        constants,
-        record::{Record, missing},
-    };
+    use crate::constants;
 
     /// A record with one finding, a value with an error of 0.1.
     fn record(machine: &str, value: f64, claimed: bool) -> Record {
@@ -289,18 +286,6 @@ mod tests {
         assert!(confirmed([1.9, 2.1, 2.0]));
         assert!(!confirmed([0.05, -0.1, 0.02]));
         assert!(!confirmed([-1.9, -2.1, -2.0]));
-    }
-
-    #[test]
-    fn a_cause_of_another_machine_is_asked_of_those_that_do_not_have_it() {
-        let mut clean = record("b", 0.0, false);
-        clean.found.clear();
-        let mut other = clean.clone();
-        other.quantity = "dx".into();
-        let records = [record("a", 2.0, true), clean, other];
-        let asked: Vec<usize> = missing(&records).iter().map(Vec::len).collect();
-        assert_eq!(asked, [0, 1, 0]);
-        assert!(missing(&[record("a", 2.0, false), records[1].clone()])[1].is_empty());
     }
 
     #[test]

@@ -10,11 +10,12 @@ use clap::ValueEnum as _;
 use trueup_compare::dated;
 use trueup_diagnose::{Named, NamedFit, Options, diagnose_for, fit_named};
 use trueup_fleet::{
-    constants::{self, Found, Identity},
+    constants::{self, Identity},
     job::{Content, Job, JobFile, Request, Submission},
     record::Record,
     result::Stored,
     store::{Store, checksum},
+    structure::{Answered, Asked},
     worker::{self, Failure, Files, Loaded},
 };
 use trueup_machine::{BadInput, Machine, MachineFile, RunFile, file};
@@ -136,37 +137,36 @@ fn answer(loaded: &Loaded, out: &Path) -> Result<Files> {
     Ok(files)
 }
 
-/// Returns the causes `wanted` of other machines, fitted to the runs of a record next to what its own diagnosis has found.
-pub fn fitted(
-    store: &Store,
-    id: &str,
-    record: &Record,
-    wanted: &[Identity],
-) -> Result<Vec<Found>, String> {
+/// Returns the constants of the causes that a series asks of a record.
+pub fn fitted(store: &Store, id: &str, quantity: &str, asked: &Asked) -> Result<Answered, String> {
     let loaded = worker::loaded(store, id).map_err(|damage| damage.to_string())?;
     let Opened { machine, runs, options, .. } = open(&loaded).map_err(|why| format!("{why:#}"))?;
-    fn named(it: &Identity) -> Named<'_> {
-        Named { cause: &it.cause, column: it.column.as_deref(), form: it.form.as_deref() }
-    }
-    let own = record.found.iter().filter_map(|it| it.identity.as_ref());
-    let own: Vec<Named<'_>> = own.map(named).collect();
-    let asked: Vec<Named<'_>> = wanted.iter().map(named).collect();
-    let fits = fit_named(&machine, &runs, options, &own, &asked).map_err(|error| error.rule)?;
-    let found = |(it, fit): (&Identity, Option<NamedFit>)| {
+    let [together, alone] = [&asked.together, &asked.alone]
+        .map(|list| list.iter().map(named).collect::<Vec<Named<'_>>>());
+    let fits =
+        fit_named(&machine, &runs, options, &together, &alone).map_err(|error| error.rule)?;
+    let found = |named: &Named<'_>, fit: Option<NamedFit>| {
         let NamedFit { parameters, rms_before_um, rms_after_um } = fit?;
         let mut finding = serde_json::json!({
-            "cause": it.cause, "claimed": false, "parameters": parameters,
+            "cause": named.cause, "claimed": false, "parameters": parameters,
             "gain": { "rms_before_um": rms_before_um, "rms_after_um": rms_after_um },
         });
-        for (key, value) in [("column", &it.column), ("form", &it.form)] {
+        for (key, value) in [("column", named.column), ("form", named.form)] {
             if let Some(value) = value {
-                finding[key] = value.as_str().into();
+                finding[key] = value.into();
             }
         }
-        let diagnosis = serde_json::json!({"quantity": record.quantity, "findings": [finding]});
+        let diagnosis = serde_json::json!({"quantity": quantity, "findings": [finding]});
         constants::found(&diagnosis).pop()
     };
-    Ok(wanted.iter().zip(fits).filter_map(found).collect())
+    let all = |named: &[Named<'_>], fits: Vec<Option<NamedFit>>| {
+        named.iter().zip(fits).map(|(named, fit)| found(named, fit)).collect()
+    };
+    Ok(Answered { together: all(&together, fits.together), alone: all(&alone, fits.alone) })
+}
+
+fn named(it: &Identity) -> Named<'_> {
+    Named { cause: &it.cause, column: it.column.as_deref(), form: it.form.as_deref() }
 }
 
 /// Returns the quantity of this name.
