@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::ExitCode,
     sync::{
         Arc,
@@ -126,10 +126,18 @@ enum Command {
         #[arg(long = "try")]
         is_tried: bool,
     },
-    /// Makes what is handed out with a release, in target/release-files: archives, Debian package, images, SHA-256.
+    /// Makes what is handed out with a release, in target/release-files: archives, Debian package, images, parts lists,
+    /// licences, known vulnerabilities, declarations, SHA-256, signatures. Builds in two folders and compares.
     ///
-    /// Fails in the end where a platform was left out for want of its tool chain; the rest is there.
-    Release,
+    /// Fails in the end where something was left out, such as a platform for want of its tool chain; the rest is there.
+    Release {
+        /// Signs each file with this key (`trueup sign --new KEY.pem` makes one).
+        #[arg(long, value_name = "KEY.pem")]
+        key: Option<PathBuf>,
+        /// Only what is built, once, in this folder.
+        #[arg(long, conflicts_with = "key")]
+        once: bool,
+    },
     /// Makes web pages of the book, docs/book, in target/book.
     Book,
     /// Gets what this machine lacks: target, QEMU, Python clients.
@@ -207,7 +215,8 @@ fn main() -> ExitCode {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))
         }
         Command::Deb { is_tried } => deb(is_tried),
-        Command::Release => make_release(),
+        Command::Release { once: true, .. } => release::once(),
+        Command::Release { key, .. } => make_release(key.as_deref()),
         Command::Book => book::render().map(|page| trueup_output::line(page.display())),
         Command::Setup => setup::everything(),
     };
@@ -230,8 +239,8 @@ fn deb(is_tried: bool) -> Result<()> {
     Ok(())
 }
 
-fn make_release() -> Result<()> {
-    let made = release::release()?;
+fn make_release(key: Option<&Path>) -> Result<()> {
+    let made = release::release(key)?;
     for file in &made.files {
         trueup_output::line(made.folder.join(file).display());
     }

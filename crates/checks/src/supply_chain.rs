@@ -53,19 +53,64 @@ pub fn crates() -> Result<Tally> {
     model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::root());
     process::run(&mut model)?;
     let mut tally = Tally::passed(1);
-    let mut fetch = Command::new(&deny);
-    fetch.args(["fetch", "db"]).current_dir(setup::root());
-    tally.add(match process::run(&mut fetch) {
-        Err(_) => Tally::lack("cargo-deny advisories: their database cannot be had here"),
-        Ok(()) => match check(&["--disable-fetch", "advisories"]) {
-            Ok(()) => Tally::passed(1),
-            // The world finds a hole on any day; that must not stop who has changed nothing.
-            Err(error) => {
-                Tally::lack(&format!("cargo-deny advisories, to be looked at: {error:#}"))
-            }
-        },
+    tally.add(match advisories()? {
+        Advisories::None(_) => Tally::passed(1),
+        // The world finds a hole on any day; that must not stop who has changed nothing.
+        Advisories::Known(said) => {
+            Tally::lack(&format!("cargo-deny advisories, to be looked at: {said}"))
+        }
+        Advisories::NotHad => Tally::lack(&format!("cargo-deny advisories: {NOT_HAD}")),
     });
     Ok(tally)
+}
+
+const NOT_HAD: &str = "their database cannot be had here";
+
+/// What the advisories of the Rust project say of the crates in the lock file.
+enum Advisories {
+    /// Nothing is known; what was said.
+    None(String),
+    /// There are some; what was said.
+    Known(String),
+    /// Their database cannot be had here.
+    NotHad,
+}
+
+fn advisories() -> Result<Advisories> {
+    let deny = deny()?;
+    let mut fetch = Command::new(&deny);
+    fetch.args(["fetch", "db"]).current_dir(setup::root());
+    if process::run(&mut fetch).is_err() {
+        return Ok(Advisories::NotHad);
+    }
+    let mut check = Command::new(&deny);
+    check.args(["--locked", "check", "--disable-fetch", "advisories"]).current_dir(setup::root());
+    Ok(match process::output(&mut check) {
+        Ok(said) => Advisories::None(said),
+        Err(error) => Advisories::Known(format!("{error:#}")),
+    })
+}
+
+/// Returns the known vulnerabilities as a paper of a release, and a sentence where they are not known.
+///
+/// # Errors
+/// cargo-deny cannot be built.
+pub fn known_vulnerabilities() -> Result<(String, Option<String>)> {
+    let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
+    Ok(match advisories()? {
+        Advisories::None(said) => (format!("{head}: none.\n{said}"), None),
+        Advisories::Known(said) => {
+            let missing =
+                "vulnerabilities.txt lists advisories: decide on each before it is handed out";
+            (format!("{head}:\n{said}\n"), Some(missing.into()))
+        }
+        Advisories::NotHad => {
+            let lines = "cargo deny fetch db && cargo deny check advisories";
+            let text =
+                format!("{head}: not looked up, {NOT_HAD}. Where there is a network: {lines}\n");
+            (text, Some(format!("the known vulnerabilities are not looked up: {NOT_HAD}")))
+        }
+    })
 }
 
 /// cargo-deny, for the licences and sources of crates.

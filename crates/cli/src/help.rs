@@ -80,6 +80,7 @@ const EXAMPLES: &[(&str, &str)] = &[
         "program",
         "trueup program backlash --machine machine.toml --for siemens --range z=-120:-20 -o measure",
     ),
+    ("sign", "trueup sign trueup-0.2.0.tar.gz --check trueup.pub.pem"),
     ("simulate", "trueup simulate --scenario scenario.toml --seed 1 -o run.csv"),
     ("trend", "trueup trend measured --limit-um 2 --out trend"),
     ("firmware", "trueup firmware images"),
@@ -130,7 +131,7 @@ const GROUPS: &[(&str, &[&str])] = &[
         ],
     ),
     ("Watch", &["learn", "trust", "trend"]),
-    ("This tool", &["doctor", "examples", "schema", "firmware", "completions", "man"]),
+    ("This tool", &["doctor", "examples", "schema", "firmware", "sign", "completions", "man"]),
 ];
 /// The heading of a command that is in no group.
 const OTHERS: &str = "More";

@@ -46,6 +46,7 @@ mod report;
 mod runs;
 mod schema;
 mod show;
+mod sign;
 mod simulate;
 mod summary;
 mod trend;
@@ -133,6 +134,7 @@ enum Command {
     New(new::New),
     Program(program::Program),
     Schema(schema::Schema),
+    Sign(sign::Sign),
     Simulate(simulate::Simulate),
     Trend(trend::Trend),
     Trust(trust::Watch),
@@ -256,6 +258,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Program(args) => program::run(args, cli.json),
         Command::New(args) => new::run(args, cli.json),
         Command::Schema(args) => schema::run(args),
+        Command::Sign(args) => sign::run(args),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Trend(args) => trend::run(args, cli.json),
         Command::Trust(args) => trust::run(args, cli.json),

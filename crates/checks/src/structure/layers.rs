@@ -9,7 +9,18 @@ use anyhow::{Context as _, Result};
 const LAYERS: &[(&str, &[&str])] = &[
     (
         "board",
-        &["core", "link", "canopen", "store", "node", "modbus", "max31865", "numerics", "output"],
+        &[
+            "core",
+            "link",
+            "canopen",
+            "store",
+            "node",
+            "modbus",
+            "max31865",
+            "numerics",
+            "output",
+            "signature",
+        ],
     ),
     ("model", &["machine"]),
     ("analysis", &["fit", "diagnose", "learn", "compare", "accept", "page"]),

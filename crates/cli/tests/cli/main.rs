@@ -25,6 +25,7 @@ mod printed;
 mod ranges;
 mod records;
 mod screen;
+mod sign;
 mod simulate;
 mod streams;
 #[cfg(target_os = "linux")]

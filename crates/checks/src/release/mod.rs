@@ -1,14 +1,20 @@
 //! The files of a release: `cargo xtask release` writes them to `target/release-files`.
 //!
-//! | for | files |
-//! |---|---|
-//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for the platform of this computer |
-//! | Windows, x86-64 | `.zip` with the tool and licences |
-//! | the board | images with their `.elf`, which alone can read a board's log |
-//! | all | `SHA256SUMS` |
+//! | for | files | by |
+//! |---|---|---|
+//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for the platform of this computer | this file |
+//! | Windows, x86-64 | `.zip` with the tool and licences | this file |
+//! | the board | images with their `.elf`, which alone can read a board's log | this file |
+//! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | [`papers`] |
+//! | all | `SHA256SUMS`, signatures | [`release`] |
+//!
+//! All but the papers is built in two folders and compared: see [`twice`].
 //!
 //! A platform whose tool chain is not on this computer is left out and named, with the lines that install it: a release is whole
 //! only if nothing was left out.
+
+mod papers;
+mod twice;
 
 use std::{
     env::consts,
@@ -19,6 +25,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use trueup_emulator::{firmware, process, setup};
+use trueup_signature::PrivateKey;
 
 use crate::{cargo, debian};
 
@@ -45,51 +52,99 @@ const PLATFORMS: [Platform; 3] = [
     },
 ];
 
-/// Files that were written, and those that were left out, with the reason.
+/// Files that were written, and what is missing, with the reason.
 #[derive(Debug, Default)]
 pub struct Release {
     /// The folder of all files.
     pub folder: PathBuf,
     /// The files, by name.
     pub files: Vec<String>,
-    /// A sentence for each platform that was left out.
+    /// A sentence for each platform, paper or signature that was left out.
     pub left_out: Vec<String>,
 }
 
-/// Makes all files of a release.
+/// Makes all files of a release, of the commit that the folder is at, and signs them with `key`.
 ///
 /// # Errors
-/// Something does not build, or `tar`, `zip` or `sha256sum` is missing or fails.
-pub fn release() -> Result<Release> {
-    let root = setup::root();
-    let folder = root.join("target/release-files");
+/// The folder has changes that are in no commit; something does not build; a file of the second folder is another one;
+/// or a tool is missing or fails.
+pub fn release(key: Option<&Path>) -> Result<Release> {
+    // Before anything is built: minutes later nobody waits for it.
+    let key = key.map(read_key).transpose()?;
+    let again = twice::build()?;
+    let folder = folder();
+    let mut left_out = left_out();
+    left_out.extend(papers::write(&again, &folder)?);
+    fs::remove_dir_all(&again)?;
+    let files = names(&folder)?;
+    let sums = process::output(Command::new("sha256sum").args(&files).current_dir(&folder))?;
+    fs::write(folder.join("SHA256SUMS"), sums)?;
+    match key {
+        Some(key) => sign(&key, &folder)?,
+        None => left_out.push(
+            "nothing is signed; first: trueup sign --new KEY.pem, then cargo xtask release --key KEY.pem"
+                .into(),
+        ),
+    }
+    Ok(Release { files: names(&folder)?, folder, left_out })
+}
+
+fn read_key(path: &Path) -> Result<PrivateKey> {
+    let pem = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    PrivateKey::from_pem(&pem).with_context(|| path.display().to_string())
+}
+
+/// Signs every file of a folder, and leaves the public key there.
+fn sign(key: &PrivateKey, folder: &Path) -> Result<()> {
+    for name in names(folder)? {
+        let signature = key.sign(&fs::read(folder.join(&name))?);
+        fs::write(folder.join(name + ".sig"), signature)?;
+    }
+    Ok(fs::write(folder.join("trueup.pub.pem"), key.public().to_pem()?)?)
+}
+
+/// Returns the folder of all files.
+fn folder() -> PathBuf {
+    setup::root().join("target/release-files")
+}
+
+fn names(folder: &Path) -> Result<Vec<String>> {
+    let mut files: Vec<String> = fs::read_dir(folder)?
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    files.sort();
+    Ok(files)
+}
+
+/// Returns a sentence for each platform that cannot be built here.
+fn left_out() -> Vec<String> {
+    let why = |platform| missing(platform, has_library, |program| process::find(program).is_some());
+    PLATFORMS.iter().filter_map(why).collect()
+}
+
+/// Builds the files of this folder once: archives, package and images.
+///
+/// # Errors
+/// Something does not build, or `tar` or `zip` is missing or fails.
+pub fn once() -> Result<()> {
+    let (root, folder) = (setup::root(), folder());
     if folder.is_dir() {
         fs::remove_dir_all(&folder)?;
     }
     fs::create_dir_all(&folder)?;
-    let mut left_out = Vec::new();
     // Before the tool, which carries them.
-    let images = firmware::carried()?;
-    copy_all(&images, &folder)?;
+    copy_all(&firmware::carried()?, &folder)?;
     for platform in &PLATFORMS {
-        match missing(platform, has_library, |program| process::find(program).is_some()) {
-            Some(why) => left_out.push(why),
-            None => pack(platform, &root, &folder)?,
+        if missing(platform, has_library, |program| process::find(program).is_some()).is_none() {
+            pack(platform, &root, &folder)?;
         }
     }
     // The package is of this computer's own platform.
     let package = debian::package()?;
     let name = package.file_name().context("a package has a name")?;
     fs::copy(&package, folder.join(name))?;
-    let mut files: Vec<String> = fs::read_dir(&folder)?
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect();
-    files.sort();
-    let sums = process::output(Command::new("sha256sum").args(&files).current_dir(&folder))?;
-    fs::write(folder.join("SHA256SUMS"), sums)?;
-    files.push("SHA256SUMS".into());
-    Ok(Release { folder, files, left_out })
+    Ok(())
 }
 
 /// Returns whether the standard library of a target is installed.
@@ -155,17 +210,36 @@ fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
         let script = process::output(Command::new(&built).args(["completions", "bash"]))?;
         fs::write(content.join("trueup.bash"), script)?;
     }
-    let mut archive = if *is_windows {
-        let mut zip = Command::new("zip");
-        zip.args(["-qr", &format!("{name}.zip"), &name]);
-        zip
-    } else {
-        let mut tar = Command::new("tar");
-        tar.args(["-czf", &format!("{name}.tar.gz"), "--owner=0", "--group=0", &name]);
-        tar
-    };
-    process::run(archive.current_dir(folder))?;
+    archive(&name, folder, *is_windows)?;
     Ok(fs::remove_dir_all(content)?)
+}
+
+/// Packs a folder so that the same files give the same bytes: no order, time, owner or mode of this computer.
+fn archive(name: &str, folder: &Path, is_windows: bool) -> Result<()> {
+    let at = format!("@{}", twice::commit_time()?);
+    if is_windows {
+        let mut touch = Command::new("find");
+        touch.args([name, "-exec", "touch", "--date", &at, "{}", "+"]).current_dir(folder);
+        process::run(&mut touch)?;
+        let mut list = Command::new("find");
+        list.args([name, "-type", "f"]).current_dir(folder);
+        let mut names: Vec<String> =
+            process::output(&mut list)?.lines().map(str::to_owned).collect();
+        names.sort();
+        let mut zip = Command::new("zip");
+        // Without extra fields, with times as they are in UTC.
+        zip.env("TZ", "UTC").args(["-qX", &format!("{name}.zip")]).args(names);
+        return process::run(zip.current_dir(folder));
+    }
+    let mut tar = Command::new("tar");
+    tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--format=gnu"]);
+    tar.args([
+        "--mode=u+rwX,go+rX,go-w",
+        &format!("--mtime={at}"),
+        "--use-compress-program=gzip -n",
+    ]);
+    tar.args(["-cf", &format!("{name}.tar.gz"), name]);
+    process::run(tar.current_dir(folder))
 }
 
 fn copy_all(from: &Path, to: &Path) -> Result<()> {

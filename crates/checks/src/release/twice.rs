@@ -1,0 +1,107 @@
+//! The same commit, built in two folders: whoever builds it gets the bytes that are handed out, or the release is refused.
+//!
+//! The second folder is a fresh clone of another name and depth. What differs between two computers and has no place in
+//! a file is taken out of both: paths by `--remap-path-prefix`, times by the commit's (`SOURCE_DATE_EPOCH`).
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_emulator::{process, setup};
+
+use crate::cargo;
+
+/// Builds here and in a clone, and returns the clone's folder.
+///
+/// # Errors
+/// There are changes that are in no commit, something does not build, or the files differ; with their names.
+pub(super) fn build() -> Result<PathBuf> {
+    let root = setup::root();
+    let changed =
+        process::output(git(&root).args(["status", "--porcelain", "--untracked-files=no"]))?;
+    ensure!(changed.is_empty(), "a release is of a commit; these are in none:\n{changed}");
+    let time = commit_time()?;
+    once_in(&root, time)?;
+    let again = root.join("target/release-again/in-another-folder");
+    if again.is_dir() {
+        fs::remove_dir_all(&again)?;
+    }
+    fs::create_dir_all(again.parent().context("it is in a folder")?)?;
+    process::run(git(&root).args(["clone", "--quiet", "--no-hardlinks", "."]).arg(&again))?;
+    once_in(&again, time)?;
+    let files = |root: &Path| root.join("target/release-files");
+    let differ = differences(&files(&root), &files(&again))?;
+    ensure!(
+        differ.is_empty(),
+        "the release is not reproducible: {} are others in {}",
+        differ.join(", "),
+        again.display()
+    );
+    Ok(again)
+}
+
+/// Returns the time of the commit, in seconds of Unix.
+pub(super) fn commit_time() -> Result<u64> {
+    let said = process::output(git(&setup::root()).args(["log", "-1", "--format=%ct"]))?;
+    said.trim().parse().context("git says when the commit was made")
+}
+
+fn git(root: &Path) -> Command {
+    let mut git = Command::new("git");
+    git.current_dir(root);
+    git
+}
+
+/// Builds all files of a folder by the program of that folder.
+fn once_in(root: &Path, commit_time: u64) -> Result<()> {
+    trueup_output::diagnostic(format_args!("building in {}", root.display()));
+    let mut command = cargo::locked("run");
+    command.current_dir(root).args(["--bin", "xtask", "--", "release", "--once"]);
+    let home = match env::var_os("CARGO_HOME") {
+        Some(home) => PathBuf::from(home),
+        None => PathBuf::from(env::var_os("HOME").context("HOME is not set")?).join(".cargo"),
+    };
+    let flag = |from: &Path, to: &str| format!("--remap-path-prefix={}={to}", from.display());
+    let flags = [flag(root, "/trueup"), flag(&home, "/cargo")];
+    command.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
+    command.env("SOURCE_DATE_EPOCH", commit_time.to_string());
+    // What this process was started with belongs to this folder alone.
+    for variable in ["CARGO_MANIFEST_DIR", "CARGO_MANIFEST_PATH", "CARGO_TARGET_DIR", "RUSTFLAGS"] {
+        command.env_remove(variable);
+    }
+    process::run(&mut command)
+}
+
+/// Returns the names of files that only one folder has, or that differ.
+fn differences(one: &Path, other: &Path) -> Result<Vec<String>> {
+    let mut names = super::names(one)?;
+    names.extend(super::names(other)?);
+    names.sort();
+    names.dedup();
+    let read = |folder: &Path, name: &str| fs::read(folder.join(name)).ok();
+    names.retain(|name| read(one, name) != read(other, name));
+    Ok(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_differs_or_is_missing_is_named() {
+        let [one, other] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let write = |folder: &Path, name: &str, text: &str| {
+            fs::write(folder.join(name), text).expect("a file");
+        };
+        for folder in [one.path(), other.path()] {
+            write(folder, "same", "1");
+        }
+        write(one.path(), "differs", "1");
+        write(other.path(), "differs", "2");
+        write(other.path(), "more", "");
+        assert_eq!(differences(one.path(), other.path()).expect("read"), ["differs", "more"]);
+    }
+}

@@ -1,0 +1,149 @@
+//! `trueup sign`: makes a key, signs files, and checks signatures.
+
+use std::{
+    fs::OpenOptions,
+    io::Write as _,
+    path::{Path, PathBuf},
+};
+
+use anyhow::Result;
+use clap::Args;
+use trueup_signature::{PrivateKey, PublicKey};
+
+use crate::{
+    Outcome, UserError, files,
+    output::{self, FileSet},
+    report,
+};
+
+/// A file that is handed out is no larger than this.
+const MOST_BYTES: u64 = 1 << 30;
+/// A key in PEM has some hundred.
+const MOST_OF_A_KEY: u64 = 10_000;
+
+/// Signs files (Ed25519), so that whoever gets them can check from whom they are: FILE.sig next to each.
+///
+/// openssl checks the same signatures: openssl pkeyutl -verify -pubin -inkey KEY.pub.pem -rawin -in FILE -sigfile FILE.sig
+///
+/// Exit 3: with --check, a signature does not hold or is missing.
+#[derive(Args)]
+pub struct Sign {
+    /// The files.
+    #[arg(value_name = "FILE", required_unless_present = "new")]
+    files: Vec<PathBuf>,
+    /// Signs them with this private key.
+    #[arg(long, value_name = "KEY.pem")]
+    key: Option<PathBuf>,
+    /// Checks their signatures with this public key.
+    #[arg(long, value_name = "KEY.pub.pem", conflicts_with = "key")]
+    check: Option<PathBuf>,
+    /// Makes a key pair: the private key here, readable by you alone, and the public one in KEY.pub.pem next to it.
+    #[arg(long, value_name = "KEY.pem", conflicts_with_all = ["key", "check", "files"])]
+    new: Option<PathBuf>,
+}
+
+/// Makes a key, signs or checks.
+pub fn run(args: &Sign) -> Result<Outcome> {
+    match (&args.new, &args.key, &args.check) {
+        (Some(path), ..) => new_key(path),
+        (None, Some(key), _) => sign(key, &args.files),
+        (None, None, Some(key)) => check(key, &args.files),
+        (None, None, None) => {
+            let rule = "--key KEY.pem signs the files, --check KEY.pub.pem checks their signatures";
+            Err(UserError(rule.into()).into())
+        }
+    }
+}
+
+fn new_key(path: &Path) -> Result<Outcome> {
+    let key = PrivateKey::random()?;
+    let (private, public) = (key.to_pem()?, key.public().to_pem()?);
+    let beside = public_path(path);
+    if beside.exists() {
+        let rule = "there is a public key already; a new pair needs another name";
+        return Err(UserError(format!("{}: {rule}", beside.display())).into());
+    }
+    let mut options = OpenOptions::new();
+    // A key that is lost cannot be had again, so nothing is ever written over.
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let mut file = options
+        .open(path)
+        .map_err(|error| UserError(format!("{}: cannot be made: {error}", path.display())))?;
+    file.write_all(private.as_bytes()).and_then(|()| file.sync_all())?;
+    output::write_whole(&beside, &[path], |out| out.write_all(public.as_bytes()))?;
+    report::warn(format_args!(
+        "{}: whoever has this file can sign in your name; keep a copy where no network is",
+        path.display()
+    ));
+    output::print(beside.display())?;
+    Ok(Outcome::Done)
+}
+
+/// Returns `KEY.pub.pem` for `KEY.pem`.
+fn public_path(private: &Path) -> PathBuf {
+    private.with_extension("pub.pem")
+}
+
+/// Returns `FILE.sig` for `FILE`.
+fn signature_path(file: &Path) -> PathBuf {
+    let mut name = file.as_os_str().to_owned();
+    name.push(".sig");
+    name.into()
+}
+
+fn sign(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
+    let pem = files::text(key, MOST_OF_A_KEY)?;
+    let private = PrivateKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
+    let inputs: Vec<&Path> = names.iter().map(PathBuf::as_path).chain([key]).collect();
+    let mut set = FileSet::new(&inputs);
+    for file in names {
+        let signature = private.sign(&files::bytes(file, MOST_BYTES)?);
+        set.add(&signature_path(file), |out| out.write_all(&signature))?;
+    }
+    set.commit()?;
+    for file in names {
+        output::print(signature_path(file).display())?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn check(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
+    let pem = files::text(key, MOST_OF_A_KEY)?;
+    let public = PublicKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
+    let mut outcome = Outcome::Done;
+    for file in names {
+        let path = signature_path(file);
+        let said = if path.is_file() {
+            let message = files::bytes(file, MOST_BYTES)?;
+            let signature = files::bytes(&path, MOST_OF_A_KEY)?;
+            public.check(&message, &signature).map_err(|fault| fault.to_string())
+        } else {
+            Err("is missing".to_owned())
+        };
+        match said {
+            Ok(()) => output::print(format_args!("{}: signed by this key", file.display()))?,
+            Err(why) => {
+                report::warn(format_args!("{}: the signature {why}", file.display()));
+                outcome = Outcome::NotMet;
+            }
+        }
+    }
+    Ok(outcome)
+}
+
+fn wrong(key: &Path, fault: trueup_signature::Fault) -> anyhow::Error {
+    UserError(format!("{}: {fault}; trueup sign --new KEY.pem makes a pair", key.display())).into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_key_and_signature() {
+        assert_eq!(public_path(Path::new("a/shop.pem")), Path::new("a/shop.pub.pem"));
+        assert_eq!(signature_path(Path::new("a/x.tar.gz")), Path::new("a/x.tar.gz.sig"));
+    }
+}
