@@ -22,18 +22,31 @@ pub fn plain(verb: &str) -> Command {
     command
 }
 
-/// Returns a program of others in this version, built once into the project's own folder.
+/// Returns a program of others in this version, built once into the project's own folder. It runs for a second: what
+/// counts is how long it takes to build.
 ///
 /// # Errors
 /// It cannot be had or built.
 pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
+    installed(name, version, &["--debug"])
+}
+
+/// The same for a program that works for minutes where it is not optimised.
+///
+/// # Errors
+/// As [`tool`].
+pub fn fast_tool(name: &str, version: &str, features: &[&str]) -> Result<PathBuf> {
+    installed(name, version, features)
+}
+
+fn installed(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
     let folder = setup::root().join("target/tools");
     let program = folder.join("bin").join(name);
     if !is_wanted(&program, name, version) {
         trueup_output::diagnostic(format_args!("building {name} {version} into target/tools"));
         let mut install = locked("install");
-        // It runs for a second: what counts is how long it takes to build.
-        install.args(["--debug", "--force", name, "--version", version, "--root"]).arg(&folder);
+        install.args(["--force", name, "--version", version]).args(options);
+        install.arg("--root").arg(&folder);
         install.arg("--target-dir").arg(folder.join("build"));
         process::run(&mut install)?;
         std::fs::remove_dir_all(folder.join("build"))?;

@@ -11,7 +11,7 @@ use ed25519_dalek::{
     Signature, Signer as _, SigningKey, VerifyingKey,
     pkcs8::{
         DecodePrivateKey as _, DecodePublicKey as _, EncodePrivateKey as _, EncodePublicKey as _,
-        spki::der::pem::LineEnding,
+        KeypairBytes, spki::der::pem::LineEnding,
     },
 };
 
@@ -76,7 +76,9 @@ impl PrivateKey {
     /// # Errors
     /// [`Fault::NoPrivateKey`]: the encoder refuses it, which no valid key causes.
     pub fn to_pem(&self) -> Result<String, Fault> {
-        let pem = self.0.to_pkcs8_pem(LineEnding::LF).map_err(|_| Fault::NoPrivateKey)?;
+        // With the public key in it the file is of PKCS #8's second version, which openssl 3.0 does not read.
+        let pair = KeypairBytes { secret_key: self.0.to_bytes(), public_key: None };
+        let pem = pair.to_pkcs8_pem(LineEnding::LF).map_err(|_| Fault::NoPrivateKey)?;
         Ok(pem.as_str().to_owned())
     }
 

@@ -6,6 +6,7 @@ use std::{fs, path::Path, process::Command};
 use anyhow::{Context as _, Result};
 use trueup_emulator::{process, setup};
 
+use super::twice;
 use crate::{cargo, supply_chain};
 
 /// The versions that options and templates are written for.
@@ -49,6 +50,8 @@ const TEXTS: [&str; 4] = [
 /// # Errors
 /// A tool cannot be built or fails.
 pub(super) fn write(source: &Path, folder: &Path) -> Result<Vec<String>> {
+    let mut fetch = cargo::locked("fetch");
+    process::run(fetch.arg("--quiet").current_dir(source))?;
     for product in &PRODUCTS {
         parts_list(product, source, folder)?;
         licences(product, source, folder)?;
@@ -69,18 +72,21 @@ fn parts_list(product: &Product, source: &Path, folder: &Path) -> Result<()> {
     command.args(["cyclonedx", "--quiet", "--format", "json", "--spec-version", "1.5"]);
     command.args(["--target", target, "--override-filename", name]).args(*features);
     command.arg("--manifest-path").arg(source.join(package).join("Cargo.toml"));
+    command.env("SOURCE_DATE_EPOCH", twice::commit_time()?.to_string());
     process::run(command.current_dir(source.join(package)))?;
     let made = source.join(package).join(name).with_extension("json");
-    let to = folder.join(format!("{name}.cdx.json"));
-    fs::copy(&made, to).with_context(|| made.display().to_string())?;
-    Ok(())
+    let text = fs::read_to_string(&made).with_context(|| made.display().to_string())?;
+    // As the paths in the programs.
+    let text = text.replace(&source.display().to_string(), "/trueup");
+    Ok(fs::write(folder.join(format!("{name}.cdx.json")), text)?)
 }
 
 /// Writes the licences of the parts, with their texts.
 fn licences(product: &Product, source: &Path, folder: &Path) -> Result<()> {
     let Product { name, package, target, features } = product;
-    let mut command = Command::new(cargo::tool("cargo-about", ABOUT)?);
-    command.args(["generate", "--fail", "--target", target]).args(*features);
+    let mut command = Command::new(cargo::fast_tool("cargo-about", ABOUT, &["--features", "cli"])?);
+    // Nothing is asked for over the network: the texts are those of the crates.
+    command.args(["generate", "--frozen", "--fail", "--target", target]).args(*features);
     command.arg("--manifest-path").arg(source.join(package).join("Cargo.toml"));
     command.arg("--config").arg(source.join("about.toml"));
     command.arg("--output-file").arg(folder.join(format!("{name}-licences.txt")));
