@@ -10,7 +10,7 @@ use anyhow::{Error, Result};
 use clap::Args;
 use dialoguer::{Input, Select};
 use serde_json::json;
-use trueup_import::{Answers, Imported, MAX_BYTES, Question, Refused, Topic, import, map};
+use trueup_import::{Answers, Circle, Imported, MAX_BYTES, Question, Refused, Topic, import, map};
 use trueup_machine::{BadInput, MachineFile, bounded};
 use trueup_output::escape::{one_line, shell_word};
 
@@ -72,9 +72,49 @@ pub struct Import {
     /// Whether every second run of an instrument's file goes back, where the file does not say it.
     #[arg(long, value_parser = ["there-and-back", "one-way"])]
     runs: Option<String>,
+    #[command(flatten)]
+    circle: OnCircle,
     /// Replace a file that is there with other content.
     #[arg(long)]
     overwrite: bool,
+}
+
+/// The circle of a table of angles and radial deviations, of a ball bar.
+#[derive(Args)]
+struct OnCircle {
+    /// The commanded radius in mm of a table that has angles and radial deviations: they become positions on the circle.
+    #[arg(long, value_name = "MM", value_parser = crate::diagnose::above_zero)]
+    radius: Option<f64>,
+    /// The commanded centre in mm along both axes of the plane.
+    #[arg(long, value_name = "U,V", requires = "radius", value_parser = centre_of, allow_hyphen_values = true, default_value = "0,0")]
+    centre: [f64; 2],
+    /// The plane; the angle counts from its first axis to the second one.
+    #[arg(long, requires = "radius", value_parser = ["xy", "yz", "zx"], default_value = "xy")]
+    plane: String,
+    /// The direction of the whole table; left out, the order of its rows says it.
+    #[arg(long, requires = "radius", value_parser = ["ccw", "cw"])]
+    direction: Option<String>,
+}
+
+impl OnCircle {
+    fn of(&self) -> Option<Circle> {
+        let mut axes = self.plane.chars();
+        let mut axis = || axes.next().unwrap_or('x');
+        Some(Circle {
+            radius_mm: self.radius?,
+            centre_mm: self.centre,
+            axes: [axis(), axis()],
+            is_clockwise: self.direction.as_ref().map(|it| it == "cw"),
+        })
+    }
+}
+
+fn centre_of(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|it| it.trim().parse().ok()).collect();
+    match numbers[..] {
+        [u, v] if u.is_finite() && v.is_finite() => Ok([u, v]),
+        _ => Err("must be two numbers in mm, as in 250,180".into()),
+    }
 }
 
 /// Imports the table.
@@ -118,6 +158,7 @@ fn by_flags(args: &Import) -> Result<Answers> {
         negate: args.negate.clone(),
         encoding: args.encoding.clone(),
         sheet: args.sheet.clone(),
+        circle: args.circle.of(),
         ..Answers::default()
     };
     let mut flag = |name: &str, topic: Topic, value: &str| {

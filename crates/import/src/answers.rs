@@ -5,6 +5,19 @@ use trueup_output::escape::shell_word;
 
 use crate::{number::Decimal, stamp::DateOrder};
 
+/// The circle of a table that has angles alone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Circle {
+    /// The commanded radius.
+    pub radius_mm: f64,
+    /// The commanded centre along both axes.
+    pub centre_mm: [f64; 2],
+    /// The axes of the plane, the angle counted from the first to the second: `['x', 'y']`.
+    pub axes: [char; 2],
+    /// Whether the whole table was measured clockwise; `None`: the order of its rows says it.
+    pub is_clockwise: Option<bool>,
+}
+
 /// What the user has said about a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Answers {
@@ -28,6 +41,8 @@ pub struct Answers {
     pub summer_time: Option<bool>,
     /// Every second run of the file goes back.
     pub there_and_back: Option<bool>,
+    /// The circle of a table of angles.
+    pub circle: Option<Circle>,
     /// Columns that a map names: a file of its kind need not have them.
     pub of_map: Vec<String>,
 }
@@ -197,6 +212,7 @@ impl Answers {
         self.counts_per_v = self.counts_per_v.or(other.counts_per_v);
         self.summer_time = self.summer_time.or(other.summer_time);
         self.there_and_back = self.there_and_back.or(other.there_and_back);
+        self.circle = self.circle.or(other.circle);
         self
     }
 }

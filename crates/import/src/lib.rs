@@ -11,6 +11,7 @@
 
 mod answers;
 mod cells;
+mod circle;
 mod clock;
 mod convert;
 mod decode;
@@ -31,7 +32,7 @@ use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{BadInput, Location, RunFile, run_file::is_known_column};
 
-pub use answers::{Answers, Question, Refused, Topic};
+pub use answers::{Answers, Circle, Question, Refused, Topic};
 pub use number::Decimal;
 pub use stamp::DateOrder;
 
@@ -108,8 +109,13 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
     if is_of_use {
         form.push(format!("decimal {}", decimal.name()));
     }
+    let answers = &circle::answered(&layout, answers);
     let plans = plan::plan(&layout, answers, path)?;
-    let converted = convert::convert(&layout, &plans, decimal, answers, path)?;
+    let mut converted = convert::convert(&layout, &plans, decimal, answers, path)?;
+    if let Some(circle) = &answers.circle {
+        circle::place(&mut converted.columns, circle)
+            .map_err(|rule| BadInput::new(layout.columns[0].place.clone(), rule))?;
+    }
     if let Some(order) = converted.order {
         form.push(format!("dates {}", order.name()));
     }

@@ -22,6 +22,8 @@ const CERTAIN: f64 = 4.8;
 const FURTHER: f64 = 3.0;
 /// |t| of a pair of waves or of the heights of a spike, which were searched for.
 const SEARCHED: f64 = 5.5;
+/// All these are that much larger where the noise has a memory: how long it is, is known from what the causes leave.
+const OF_MEMORY: f64 = 1.35;
 /// The smallest share of a cause, RMS, in standard deviations of the noise.
 const FLOOR: f64 = 0.12;
 /// The same in µm: no instrument resolves less.
@@ -167,6 +169,8 @@ struct Fit<'r> {
     white: Vec<Vec<f64>>,
     y: Vec<f64>,
     steps: Steps,
+    /// What limits of t are multiplied by.
+    caution: f64,
 }
 
 impl<'r> Fit<'r> {
@@ -179,7 +183,7 @@ impl<'r> Fit<'r> {
             if is_same { 1.0 } else { f64::INFINITY }
         });
         let steps = Steps(steps.collect());
-        Self { record, white: raw.clone(), raw, columns, y, steps }
+        Self { record, white: raw.clone(), raw, columns, y, steps, caution: 1.0 }
     }
 
     /// Makes the rows independent, by the noise that all columns leave.
@@ -189,6 +193,7 @@ impl<'r> Fit<'r> {
         let longest = noise::longest_memory(residual.len());
         let noise = noise::estimate(&residual, &self.steps, longest, self.columns.len());
         if noise != Noise::WHITE {
+            self.caution = OF_MEMORY;
             let whitener = Whitener::new(noise, &self.steps);
             self.white = whitener.apply_all(&self.raw);
             self.y = whitener.apply(&self.raw_y());
@@ -242,13 +247,14 @@ impl<'r> Fit<'r> {
                 .filter(|at| self.columns[*at].unit != Unit::Setup)
                 .filter_map(|at| {
                     let unit = &self.columns[at].unit;
-                    let needed = if of_unit(unit) < unit.limit() {
+                    let needed = if of_unit(unit) < self.caution * unit.limit() {
                         unit.limit()
                     } else if unit.is_loose() {
                         FURTHER
                     } else {
                         0.0
                     };
+                    let needed = self.caution * needed;
                     (t(at) < needed).then(|| (at, t(at) / needed))
                 })
                 .min_by(|a, b| a.1.total_cmp(&b.1));

@@ -73,7 +73,17 @@ impl Sections<'_> {
         let mut angles: Vec<Squareness> =
             self.machine.map(|machine| machine.squareness.clone()).unwrap_or_default();
         let mut is_changed = false;
-        for (circle, at) in claimed(circles, Cause::Squareness) {
+        let found = claimed(circles, Cause::Squareness);
+        let plane_of = |circle: usize| circles[circle].record.plane;
+        // Several circles in a plane show one angle: each adds its share of the mean.
+        let shares: Vec<f64> = found
+            .iter()
+            .map(|it| {
+                let same = found.iter().filter(|other| plane_of(other.0) == plane_of(it.0));
+                (same.count() as f64).recip()
+            })
+            .collect();
+        for ((circle, at), share) in found.into_iter().zip(shares) {
             let [u, v] = circles[circle].record.plane.axes();
             // The axis that comes first in the alphabet is the one in error, unless the file has it the other way round.
             let (error, along) = if u < v { (u, v) } else { (v, u) };
@@ -81,7 +91,7 @@ impl Sections<'_> {
             let has_other = angles.iter().any(|it| is_own(it, along, error) && it.um_per_m != 0.0)
                 && !angles.iter().any(|it| is_own(it, error, along) && it.um_per_m != 0.0);
             let (error, along) = if has_other { (along, error) } else { (error, along) };
-            let um_per_m = parameter(&circles[circle].findings[at], "um_per_m");
+            let um_per_m = share * parameter(&circles[circle].findings[at], "um_per_m");
             match angles.iter_mut().find(|it| is_own(it, error, along)) {
                 Some(angle) => angle.um_per_m = rounded(angle.um_per_m + um_per_m, DECIMALS),
                 None => {
@@ -210,6 +220,13 @@ impl Sections<'_> {
             let record = &circles[circle].record;
             let finding = &circles[circle].findings[at];
             let (Some(error), Some(along)) = (finding.axis, finding.along) else { continue };
+            let name = format!("straightness.{}_of_{}", error.name(), along.name());
+            if self.edit.sections.iter().any(|it| it.name() == name) {
+                self.warnings.push(format!(
+                    "[{name}] is written from the first circle that shows it: fit the others again with the file that is written"
+                ));
+                continue;
+            }
             let index = usize::from(record.plane.axes()[1] == along);
             let [centre, radius] = [record.centre_mm[index], record.radius_mm];
             let there = self.machine.and_then(|machine| {
@@ -223,7 +240,6 @@ impl Sections<'_> {
             let Some(spline) = spline(centre, radius, there.map(|it| &it.spline), at_mm) else {
                 continue;
             };
-            let name = format!("straightness.{}_of_{}", error.name(), along.name());
             self.written.push(format!(
                 "[{name}]: {:.2} µm over {:.0} mm",
                 parameter(finding, "range_um"),

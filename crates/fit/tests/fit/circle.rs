@@ -233,6 +233,16 @@ fn two_files_in_two_planes_share_one_backlash_and_their_scales() {
     assert!((y + 2.67).abs() < 0.1 && (z + 2.67).abs() < 0.1 && x > 5.0, "{x} {y} {z}");
 }
 
+#[test]
+fn two_circles_in_one_plane_write_their_squareness_once() {
+    let at = |centre_mm| Drawn { centre_mm, ..Drawn::ideal(vec![Fault::Squareness(100.0)], 100.0) };
+    let runs = [at([20.0, -35.0]), at([320.0, 65.0])].map(|drawn| run(&drawn.csv()));
+    let report = fit(&runs, None).expect("circles");
+    assert_eq!(report.circles.len(), 2);
+    let squareness = &machine(&report).squareness;
+    assert!((squareness[0].um_per_m - 100.0).abs() < 0.5, "{squareness:?}");
+}
+
 /// Returns how many of the drawn machines are wholly named, and how many have a wrong name; prints each that is not.
 fn trial(seeds: std::ops::Range<u64>, is_sound: bool) -> [usize; 2] {
     let mut counts = [0, 0];
@@ -252,10 +262,10 @@ fn trial(seeds: std::ops::Range<u64>, is_sound: bool) -> [usize; 2] {
 
 #[test]
 fn drawn_circles_are_wholly_named_and_sound_ones_have_no_name() {
-    let [named, wrong] = trial(5_000..5_010, false);
-    assert!(named >= 9 && wrong <= 1, "{named} of 10, {wrong} wrong");
-    let [sound, wrong] = trial(6_000..6_004, true);
-    assert_eq!([sound, wrong], [4, 0]);
+    let [named, wrong] = trial(5_000..5_008, false);
+    assert!(named >= 7 && wrong <= 1, "{named} of 8, {wrong} wrong");
+    let [sound, wrong] = trial(6_000..6_003, true);
+    assert_eq!([sound, wrong], [3, 0]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use trueup_import::{Refused, import};
+use trueup_import::{Answers, Circle, Refused, import};
 
 use crate::{Topic, answers, bad, column, open, read_as, unit, values};
 
@@ -240,4 +240,28 @@ fn a_table_below_the_title_of_a_probing_cycle_is_read() {
         let imported = read_as("log.txt", text.as_bytes(), &[]);
         assert_eq!(imported.run, "x_mm,measured_dx_um\n0,1\n50,3\n100,4\n", "{title}");
     }
+}
+
+#[test]
+fn a_table_of_angles_becomes_positions_on_the_circle_that_is_named() {
+    let circle = |is_clockwise| Circle {
+        radius_mm: 100.0,
+        centre_mm: [250.0, -40.0],
+        axes: ['z', 'x'],
+        is_clockwise,
+    };
+    let import = |text: &str, is_clockwise| {
+        let answers = Answers { circle: Some(circle(is_clockwise)), ..Answers::default() };
+        import(text.as_bytes(), "bar.csv".as_ref(), &answers)
+    };
+    let table = "angle_deg,dr_um\n0,1.5\n90,-2\n180,0.25\n";
+    let imported = import(table, None).expect("a table of angles");
+    assert_eq!(imported.run, "z_mm,x_mm,measured_dr_um\n350,-40,1.5\n250,60,-2\n150,-40,0.25\n");
+    let german = "Winkel [°];Abweichung [mm]\n0,0;0,0015\n90,0;-0,002\n";
+    let imported = import(german, Some(true)).expect("a German one");
+    assert_eq!(imported.run, "z_mm,x_mm,dir,measured_dr_um\n350,-40,-1,1.5\n250,60,-1,-2\n");
+    let Err(Refused::Bad(error)) = import("x_mm,dr_um\n1,2\n2,3\n", None) else {
+        panic!("a table without angles")
+    };
+    assert!(error.rule.contains("--column 1=angle_deg"), "{error}");
 }
