@@ -167,10 +167,11 @@ impl CachedErrors {
                 *guide = Guide { straightness, squareness, outside };
             }
         }
+        self.add_guides();
         if let Some(volume) = &calibration.volume {
             self.volume.moved(volume, place, moved);
+            self.add_volume();
         }
-        self.add_guides();
         self.terms_changed(calibration, heat, place);
     }
 
@@ -179,16 +180,23 @@ impl CachedErrors {
         if let Some(volume) = &calibration.volume {
             self.volume.turned(volume, place);
             self.add_guides();
+            self.add_volume();
         }
     }
 
+    #[inline]
     fn add_guides(&mut self) {
         // Two guides an axis, in the order of `AXIS_PAIRS`.
-        let pairs = self.guides.as_chunks::<2>().0.iter().zip(self.volume.errors());
-        for (error, (pair, of_volume)) in self.errors.axes.iter_mut().zip(pairs) {
+        for (error, pair) in self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0) {
             error.guides = pair
                 .iter()
-                .fold(of_volume, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
+                .fold(Fine::ZERO, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
+        }
+    }
+
+    fn add_volume(&mut self) {
+        for (error, of_volume) in self.errors.axes.iter_mut().zip(self.volume.errors()) {
+            error.guides = error.guides.plus(of_volume);
         }
     }
 
@@ -206,7 +214,7 @@ impl CachedErrors {
         self.errors.outside = outside
             || self.positioning_outside.contains(&true)
             || self.guides.iter().any(|guide| guide.outside)
-            || self.volume.is_outside();
+            || calibration.volume.is_some() && self.volume.is_outside();
     }
 
     /// An axis has become warmer or colder.

@@ -75,16 +75,28 @@ impl Kinematics {
         // No turn makes a vector of length √3 at most longer than that: all sums below fit.
         let zero = self.zero.0.map(|component| component.clamp(-Direction::ONE, Direction::ONE));
         let by = |axis: Option<RotaryAxis>, angle, vector| match axis {
-            Some(axis) => turned(axis, sine_cosine(angle), vector),
+            Some(axis) => turned(axis, sine_cosine(angle), vector, rounded),
             None => vector,
         };
         Direction(by(first, first_angle, by(second, second_angle, zero)))
     }
 }
 
-/// Returns R·v of a vector in any unit, by sine and cosine of the angle; saturates.
+/// Returns R·v of a vector in any unit, by sine and cosine of the angle; `round` takes a sum of products with Q30
+/// back to that unit.
 #[inline]
-pub(crate) fn turned(axis: RotaryAxis, turn: (i32, i32), [x, y, z]: [i32; 3]) -> [i32; 3] {
+pub(crate) fn turned(
+    axis: RotaryAxis,
+    turn: (i32, i32),
+    [x, y, z]: [i32; 3],
+    round: impl Fn(i64) -> i32,
+) -> [i32; 3] {
+    let turned_pair = |p, q, (sine, cosine): (i32, i32)| {
+        (
+            round(product(cosine, p).wrapping_sub(product(sine, q))),
+            round(product(sine, p).wrapping_add(product(cosine, q))),
+        )
+    };
     match axis {
         RotaryAxis::A => {
             let (y, z) = turned_pair(y, z, turn);
@@ -101,16 +113,14 @@ pub(crate) fn turned(axis: RotaryAxis, turn: (i32, i32), [x, y, z]: [i32; 3]) ->
     }
 }
 
-/// (c·p − s·q, s·p + c·q), Q30.
-fn turned_pair(p: i32, q: i32, (sine, cosine): (i32, i32)) -> (i32, i32) {
-    (
-        rounded(product(cosine, p).wrapping_sub(product(sine, q))),
-        rounded(product(sine, p).wrapping_add(product(cosine, q))),
-    )
+/// Returns a Q60 sum as Q30, rounded to the nearest.
+#[expect(clippy::cast_possible_truncation, reason = "at most √3, which is below 2 = 2³¹ in Q30")]
+fn rounded(sum: i64) -> i32 {
+    rounded_shift(sum, Direction::FRACTION_BITS) as i32
 }
 
-/// Returns a sum of products with Q30, rounded to the nearest. A direction never saturates: it is at most √3.
-fn rounded(sum: i64) -> i32 {
+/// Returns a sum of products with Q30 in the unit of the other factor, rounded to the nearest; saturates.
+pub(crate) fn rounded_to_unit(sum: i64) -> i32 {
     saturated(rounded_shift(sum, Direction::FRACTION_BITS))
 }
 

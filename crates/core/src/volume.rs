@@ -30,7 +30,7 @@ use crate::{
     curve::Curve,
     fixed::{product, rounded_shift, saturated},
     gradient::Gradient,
-    kinematics::{RotaryAxis, turned},
+    kinematics::{self, RotaryAxis, rounded_to_unit},
     place::Place,
     term::LEVER,
     units::{Fine, Position},
@@ -51,12 +51,14 @@ pub struct Chain {
     /// The place of X, Y and Z, counted from the workpiece.
     places: [u8; 3],
     on_workpiece: u8,
+    /// Of X, Y and Z: a bit for each axis whose position is a part of its lever.
+    levers: [u8; 3],
 }
 
 impl Default for Chain {
     /// X, Y and Z move the tool, in this order.
     fn default() -> Self {
-        Self { places: [0, 1, 2], on_workpiece: 0 }
+        Self::of_places([0, 1, 2], 0)
     }
 }
 
@@ -71,7 +73,17 @@ impl Chain {
             *places.get_mut(axis as usize)? = place;
         }
         (!places.contains(&UNPLACED) && on_workpiece <= UNPLACED)
-            .then_some(Self { places, on_workpiece })
+            .then(|| Self::of_places(places, on_workpiece))
+    }
+
+    fn of_places(places: [u8; 3], on_workpiece: u8) -> Self {
+        let levers = places.map(|own| {
+            // The part that moves the workpiece does not go with the tip: its own position counts.
+            let first = own.saturating_add(u8::from(own >= on_workpiece));
+            let bits = [1, 2, 4].into_iter().zip(places);
+            bits.filter(|(_, place)| *place >= first).fold(0, |all, (bit, _)| all | bit)
+        });
+        Self { places, on_workpiece, levers }
     }
 
     /// Returns the axes from the workpiece to the tool.
@@ -103,9 +115,7 @@ impl Chain {
     #[must_use]
     #[inline]
     pub fn is_in_lever(&self, axis: LinearAxis, other: LinearAxis) -> bool {
-        // The part that moves the workpiece does not go with the tip: its own position counts.
-        let first = self.place(axis).saturating_add(u8::from(!self.moves_workpiece(axis)));
-        self.place(other) >= first
+        self.levers.get(axis as usize).is_some_and(|bits| bits >> (other as u8) & 1 != 0)
     }
 
     #[inline]
@@ -230,22 +240,34 @@ impl Volume<'_> {
             let Some(rotary) = rotary.as_ref().filter(|it| !it.moves_workpiece) else { continue };
             let turn = sine_cosine(angle);
             let lever = turned(rotary.axis, turn, minus(tip, vector(rotary.point)));
-            error = plus(turned(rotary.axis, turn, error), rotary.error(lever));
+            if error != [0; 3] {
+                error = turned(rotary.axis, turn, error);
+            }
+            error = plus(error, rotary.error(lever));
             tip = plus(vector(rotary.point), lever);
         }
         (tip, error)
     }
 
-    /// Returns the errors of the axes that turn the workpiece; `turn` is sine and cosine of the first one's angle.
-    fn table(&self, (sine, cosine): (i32, i32), tip: Vector) -> Vector {
+    /// Returns what the axes that turn the workpiece do to it at the angles of `place`: its shift where the tip is
+    /// at machine zero, and its tilt.
+    ///
+    /// Both axes together are δ₁ + ε₁ × (q − c₁) + R·(δ₂ + ε₂ × (R⁻¹·(q − c₁) + c₁ − c₂)), with R the turn of the first one
+    /// and q the tip. As R·(a × b) is (R·a) × (R·b), the tilts add up to ε = ε₁ + R·ε₂, and q is multiplied once.
+    fn table(&self, place: &Place) -> (Vector, [Fine; 3]) {
         let mut of_workpiece = self.rotary.iter().flatten().filter(|it| it.moves_workpiece);
-        let Some(first) = of_workpiece.next() else { return [0; 3] };
-        let lever = minus(tip, vector(first.point));
-        let error = first.error(lever);
-        let Some(second) = of_workpiece.next().filter(|it| !it.is_right()) else { return error };
-        let seen = plus(turned(first.axis, (sine, cosine), lever), vector(first.point));
-        let on_first = second.error(minus(seen, vector(second.point)));
-        plus(error, turned(first.axis, (sine.saturating_neg(), cosine), on_first))
+        let Some(first) = of_workpiece.next() else { return Default::default() };
+        let (mut shift, mut tilt) = (first.shift.map(|it| it.0), first.tilt);
+        if let Some(second) = of_workpiece.next().filter(|it| !it.is_right()) {
+            let [angle, _] = place.angles;
+            let (sine, cosine) = sine_cosine(angle);
+            let back = |vector| turned(first.axis, (sine.saturating_neg(), cosine), vector);
+            let between = minus(vector(first.point), vector(second.point));
+            shift = plus(shift, back(second.error(between)));
+            let of_second = back(second.tilt.map(|it| it.0));
+            tilt = plus(tilt.map(|it| it.0), of_second).map(Fine);
+        }
+        (minus(shift, cross(tilt, vector(first.point))), tilt)
     }
 }
 
@@ -255,15 +277,21 @@ pub struct CachedVolume {
     /// Of X, Y and Z, about X, Y and Z.
     angles: [[Fine; 3]; 3],
     outside: [bool; 3],
+    /// From the points of X, Y and Z to the tip, with all positions at 0.
+    arms: [Vector; 3],
     tip: Vector,
     of_tool: Vector,
-    table_turn: (i32, i32),
+    /// Shift at machine zero, and tilt.
+    of_table: (Vector, [Fine; 3]),
+    /// What the angles of X, Y and Z make.
+    of_guides: [Vector; 3],
     errors: Vector,
 }
 
 impl CachedVolume {
     /// Returns the error along X, Y and Z.
     #[must_use]
+    #[inline]
     pub fn errors(&self) -> [Fine; 3] {
         self.errors.map(Fine)
     }
@@ -277,9 +305,14 @@ impl CachedVolume {
     /// The rotary axes have turned to where they stand in `place`.
     pub fn turned(&mut self, volume: &Volume<'_>, place: &Place) {
         (self.tip, self.of_tool) = volume.tip(place);
-        let [first, _] = place.angles;
-        self.table_turn = sine_cosine(first);
-        self.add_up(volume, place);
+        self.of_table = volume.table(place);
+        for (arm, guide) in self.arms.iter_mut().zip(&volume.guides) {
+            *arm = minus(self.tip, vector(guide.point));
+        }
+        for axis in LinearAxis::ALL {
+            self.step_guide(volume, place, axis);
+        }
+        self.add_up(place);
     }
 
     /// An axis has moved to where it stands in `place`.
@@ -296,33 +329,55 @@ impl CachedVolume {
                 *outside |= is_held;
             }
         }
-        self.add_up(volume, place);
+        for axis in LinearAxis::ALL {
+            // Another guide errs by its lever alone.
+            if axis == moved || volume.chain.is_in_lever(axis, moved) {
+                self.step_guide(volume, place, axis);
+            }
+        }
+        self.add_up(place);
     }
 
-    fn add_up(&mut self, volume: &Volume<'_>, place: &Place) {
-        let mut sum = self.of_tool;
-        let chain = &volume.chain;
-        for ((axis, guide), angles) in
-            LinearAxis::ALL.into_iter().zip(&volume.guides).zip(self.angles)
-        {
-            if angles == [Fine::ZERO; 3] {
-                continue;
-            }
-            let mut lever = minus(self.tip, vector(guide.point));
-            for (component, other) in lever.iter_mut().zip(LinearAxis::ALL) {
-                if chain.is_in_lever(axis, other) {
-                    *component = component.saturating_add(place.of(other).0);
-                }
-            }
-            let error = cross(angles, lever);
-            sum = if chain.moves_workpiece(axis) { minus(sum, error) } else { plus(sum, error) };
+    /// Computes what the angles of an axis make at its present lever.
+    fn step_guide(&mut self, volume: &Volume<'_>, place: &Place, axis: LinearAxis) {
+        let number = axis as usize;
+        let (Some(angles), Some(arm), Some(error), Some(bits)) = (
+            self.angles.get(number),
+            self.arms.get(number),
+            self.of_guides.get_mut(number),
+            volume.chain.levers.get(number),
+        ) else {
+            return;
+        };
+        if *angles == [Fine::ZERO; 3] {
+            *error = [0; 3];
+            return;
         }
-        if volume.rotary.iter().flatten().any(|it| it.moves_workpiece) {
-            let tip = plus(vector(place.position), self.tip);
-            sum = minus(sum, volume.table(self.table_turn, tip));
-        }
-        self.errors = sum;
+        let travelled = |bit: u8, arm: i32, position: Position| {
+            if bits & bit == 0 { arm } else { arm.saturating_add(position.0) }
+        };
+        let ([x, y, z], [at_x, at_y, at_z]) = (*arm, place.position);
+        let lever = [travelled(1, x, at_x), travelled(2, y, at_y), travelled(4, z, at_z)];
+        let made = cross(*angles, lever);
+        *error =
+            if volume.chain.moves_workpiece(axis) { made.map(i32::saturating_neg) } else { made };
     }
+
+    fn add_up(&mut self, place: &Place) {
+        let [x, y, z] = self.of_guides;
+        let guides = plus(plus(x, y), plus(self.of_tool, z));
+        let (shift, tilt) = self.of_table;
+        self.errors = minus(guides, shift);
+        if tilt != [Fine::ZERO; 3] {
+            let tip = plus(vector(place.position), self.tip);
+            self.errors = minus(self.errors, cross(tilt, tip));
+        }
+    }
+}
+
+/// Returns R·v, by sine and cosine of the angle; saturates.
+fn turned(axis: RotaryAxis, turn: (i32, i32), vector: Vector) -> Vector {
+    kinematics::turned(axis, turn, vector, rounded_to_unit)
 }
 
 /// Returns ε × L, of angles as errors at [`LEVER`]; saturates.

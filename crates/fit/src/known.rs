@@ -76,6 +76,7 @@ pub fn known(
         }
     }
     rest.straightness.retain(|curve| curve.error == axis);
+    rest.volume.angular.retain(|angular| angular.about.index() != axis.index());
     rest.squareness.retain(|angle| angle.error == axis && angle.um_per_m != 0.0);
     let tool_reaches = !rest.head_axes.is_empty() || rest.tool_direction[axis.index()] != 0.0;
     if !tool_reaches || !has_model(&rest) {
