@@ -21,7 +21,7 @@ use crate::{
     term,
     travel::backlash,
     units::{Fine, Position},
-    volume::CachedVolume,
+    volume::{CachedVolume, Volume},
 };
 
 /// The errors of one axis at a place, part by part.
@@ -169,8 +169,7 @@ impl CachedErrors {
         }
         self.add_guides();
         if let Some(volume) = &calibration.volume {
-            self.volume.moved(volume, place, moved);
-            self.add_volume();
+            self.volume_moved(volume, place, moved);
         }
         self.terms_changed(calibration, heat, place);
     }
@@ -192,6 +191,13 @@ impl CachedErrors {
                 .iter()
                 .fold(Fine::ZERO, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
         }
+    }
+
+    // Apart, so that it costs nothing where there is none.
+    #[inline(never)]
+    fn volume_moved(&mut self, volume: &Volume<'_>, place: &Place, moved: LinearAxis) {
+        self.volume.moved(volume, place, moved);
+        self.add_volume();
     }
 
     fn add_volume(&mut self) {
