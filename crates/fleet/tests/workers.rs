@@ -110,11 +110,11 @@ fn a_lease_whose_owner_is_gone_ends_and_the_job_is_done() {
 #[test]
 fn a_slow_worker_keeps_its_job_and_two_results_are_one() {
     let (_folder, store) = store_with(1);
-    let short = Options { threads: 2, lease: Duration::from_millis(100), until_empty: true };
+    let short = Options { threads: 2, lease: Duration::from_millis(600), until_empty: true };
     let tries = AtomicUsize::new(0);
     let tally = work(&store, short, &|loaded, out| {
         tries.fetch_add(1, Ordering::Relaxed);
-        std::thread::sleep(Duration::from_millis(800));
+        std::thread::sleep(Duration::from_millis(1500));
         twice()(loaded, out)
     });
     assert_eq!(tally.expect("it is done").done, 1);

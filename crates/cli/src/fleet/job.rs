@@ -198,15 +198,22 @@ pub fn record(store: &Store, stored: &Stored) -> Result<Record, String> {
     })
 }
 
-/// Returns what a machine file believes of a quantity, whatever machine it is of.
+/// Returns what a machine file believes of a quantity, whatever machine it is of, however it is connected, and wherever its
+/// keys stand.
 fn belief(machine: Machine, quantity: &str) -> String {
-    let Machine { kind, tool_direction, spindle, axes, straightness, squareness, terms, .. } =
-        machine;
-    let text = match quantity {
-        "elongation" => format!("{spindle:?} {terms:?}"),
-        _ => format!(
-            "{kind:?} {tool_direction:?} {spindle:?} {axes:?} {straightness:?} {squareness:?} {terms:?}"
-        ),
+    let text = if quantity == file::Quantity::Elongation.name() {
+        format!("{:?} {:?}", machine.spindle, machine.terms)
+    } else {
+        let plain = Machine {
+            name: String::new(),
+            serial: None,
+            board: None,
+            inputs: None,
+            limits: Default::default(),
+            places: Default::default(),
+            ..machine
+        };
+        format!("{plain:?}")
     };
     checksum(text.as_bytes())
 }
