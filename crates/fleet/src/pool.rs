@@ -9,13 +9,9 @@
 //! The spread is estimated, and its error must not be ignored: with one estimate in the place of τ a machine's error is
 //! larger than the model says. Here every τ counts with its restricted likelihood (REML: Patterson and Thompson 1971)
 //! times the uniform shrinkage prior: beforehand every weight B of the mean from 0 to 1 is as likely (Daniels 1999), so
-//! that p(τ) ∝ τ / (1 + τ²/s²)², s the typical error of a fit. RMS error of the values, relative to the single fits':
-//!
-//! | machines | τ/s = 0 | 0.5 | 1 | 2 | 5 |
-//! |---|---|---|---|---|---|
-//! | 30 | 0.28 | 0.50 | 0.74 | 0.91 | 0.99 |
-//! | 12 | 0.41 | 0.59 | 0.75 | 0.93 | 0.99 |
-//! | τ known, 30 | 0.18 | 0.48 | 0.72 | 0.90 | 0.98 |
+//! that p(τ) ∝ τ / (1 + τ²/s²)², s the typical error of a fit. The RMS error of the values, relative to the single fits', is
+//! measured by `tests/series.rs`. Of ten priors, tried on the same drawn series, this one had the least error where τ is half of
+//! s; 95 % intervals hold the true value in 92.6 % where τ is as large as s, and in more elsewhere.
 //!
 //! Few machines say too little of τ: below four nothing is shrunk, from four to six a part of it.
 
