@@ -236,7 +236,9 @@ impl Volume<'_> {
     /// Returns the tip from the spindle nose, and the errors of the axes that turn the tool.
     fn tip(&self, place: &Place) -> (Vector, Vector) {
         let (mut tip, mut error) = (vector(self.tool), [0; 3]);
-        for (rotary, angle) in self.rotary.iter().zip(place.angles).rev() {
+        let ([first, second], [of_first, of_second]) = (&self.rotary, place.angles);
+        // From the tool to the frame. A `zip` that is reversed could panic, for all that the compiler knows.
+        for (rotary, angle) in [(second, of_second), (first, of_first)] {
             let Some(rotary) = rotary.as_ref().filter(|it| !it.moves_workpiece) else { continue };
             let turn = sine_cosine(angle);
             let lever = turned(rotary.axis, turn, minus(tip, vector(rotary.point)));

@@ -70,6 +70,7 @@ const LINES: [&str; 39] = [
     "program warmup --machine m.toml --rpm 1000 --for siemens --out o-program",
     "schema",
     "show cal.bin",
+    "sign --new o-key.pem",
     "simulate --scenario s.toml --seed 1 -o -",
     "trend . --out o-trend",
     "trust --machine m.toml --calibrated run.csv --run small.csv",
