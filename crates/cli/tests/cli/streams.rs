@@ -34,7 +34,7 @@ fn run(more_um: f64) -> String {
 }
 
 /// A line of each command. `PORT` is a bridge, and `NONE` a port where nothing listens.
-const LINES: [&str; 39] = [
+const LINES: [&str; 41] = [
     "--help",
     "no-such-command",
     "accept --off run.csv --on small.csv --out o-accept",
@@ -61,6 +61,7 @@ const LINES: [&str; 39] = [
     "gateway modbus --port PORT --listen 127.0.0.1:0 --once",
     "gateway s7 --port nowhere --plc 127.0.0.1:1 --db 1 --once",
     "import run.csv -o o-import.csv",
+    "fleet status --dir o-fleet",
     "learn --machine m.toml --run run.csv -o o-learned.toml --limit-percent 5",
     "linuxcnc --port NONE --ini missing.ini",
     "man o-man",
