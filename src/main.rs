@@ -64,7 +64,7 @@ mod app {
     use heapless::spsc::{Consumer, Producer, Queue};
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::Fault;
-    use trueup_core::{bridge::Input, channels::RawTemperatures};
+    use trueup_core::{bridge::Input, calibration::Calibration, channels::RawTemperatures};
     use trueup_link::{frame::Frame, slcan::Port};
     use trueup_modbus::{
         rtu::{Heard, Slave},
@@ -121,6 +121,17 @@ mod app {
         idle: Idle,
     }
 
+    /// Puts the node in its place. Apart from the start, because a node and its calibration are moved by value here: their
+    /// stack is free again before the rest of the start needs its own.
+    #[inline(never)]
+    fn placed(
+        place: &'static mut MaybeUninit<Node<'static>>,
+        calibration: Option<&Calibration<'static>>,
+        is_degraded: bool,
+    ) -> &'static mut Node<'static> {
+        place.write(Node::new(calibration.copied(), is_degraded))
+    }
+
     #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _],
                     bytes_heard: Queue<Heard, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
@@ -130,7 +141,7 @@ mod app {
         if let Err(error) = &parts.calibration {
             defmt::error!("calibration refused: {}", error);
         }
-        let node = cx.local.place.write(Node::new(parts.calibration.ok(), faults.degrade()));
+        let node = placed(cx.local.place, parts.calibration.as_ref().ok(), faults.degrade());
         faults.all().for_each(|fault| node.note(fault));
         node.note_start(parts.start);
         node.set_serial_number(parts.serial_number);
