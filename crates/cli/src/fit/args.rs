@@ -30,7 +30,7 @@ pub enum Kind {
     Warmup(Warmup),
     /// [axis.x.thermal]: an axis's growth with a temperature.
     Thermal(Thermal),
-    /// [squareness], [axis.x.backlash], [axis.x.pitch] and [straightness.y_of_x] by a ball bar or an indicator on a circle: the
+    /// `[squareness]`, `[axis.x.backlash]`, `[axis.x.pitch]` and `[straightness.y_of_x]` by a ball bar or an indicator on a circle: the
     /// causes of its form, the figures of ISO 230-4, and the polar plot as a page.
     Circle(Circle),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
