@@ -5,10 +5,10 @@
 //! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for the platform of this computer | this file |
 //! | Windows, x86-64 | `.zip` with the tool and licences | this file |
 //! | the board | images with their `.elf`, which alone can read a board's log | this file |
-//! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | [`papers`] |
-//! | all | `SHA256SUMS`, signatures | [`release`] |
+//! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `papers.rs` |
+//! | all | `SHA256SUMS`, signatures | this file |
 //!
-//! All but the papers is built in two folders and compared: see [`twice`].
+//! All but the papers is built in two folders and compared: see `twice.rs`.
 //!
 //! A platform whose tool chain is not on this computer is left out and named, with the lines that install it: a release is whole
 //! only if nothing was left out.

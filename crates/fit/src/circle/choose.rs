@@ -1,7 +1,7 @@
 //! Keeps the terms that a record shows.
 //!
 //! All terms are fitted together, in rows that the most likely noise with a memory makes independent. The term with the
-//! smallest |t| goes, until each is beyond [`Unit::limit`]. A cause whose share of the readings is below the floor goes too.
+//! smallest |t| goes, until each is beyond `Unit::limit`. A cause whose share of the readings is below the floor goes too.
 //! What is left is tried on arcs that were left out in turn, each cause against the model without it, and against every
 //! other cause in its place: what predicts as well is an alternative.
 
