@@ -52,12 +52,14 @@ fn percent(text: &str) -> Result<f64, String> {
 }
 
 pub fn run(args: &Accept, as_json: bool) -> Result<Outcome> {
-    let (off, on) = (files::run(&args.off, None)?, files::run(&args.on, None)?);
     let source = args.machine.as_deref().map(MachineFile::read_text).transpose()?;
     let believed = match (&source, &args.machine) {
         (Some(source), Some(path)) => Some((source.as_str(), files::parsed(source, path)?)),
         _ => None,
     };
+    // The file has the numbers of the tools that a run names by labels.
+    let machine = believed.as_ref().map(|(_, machine)| machine);
+    let (off, on) = (files::run(&args.off, machine)?, files::run(&args.on, machine)?);
     let limits = Limits { require_percent: args.require, limit_um: args.limit_um };
     let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let believed = believed.as_ref().map(|(source, machine)| (*source, machine));

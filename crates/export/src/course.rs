@@ -184,6 +184,9 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
     let mut left_out = Vec::new();
     for (index, term) in machine.terms.iter().enumerate() {
         let axis = term.quantity.axis();
+        let by_column = column(&term.effect).map(|column| {
+            format!("it depends on {column}, which no table of a control knows; the bridge does")
+        });
         let reason = match &term.effect {
             effect if !effect.is_compensated() => continue,
             // Folded into the constants of the machine.
@@ -199,9 +202,9 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
             effect if is_of_two_axes(effect) => {
                 "it depends on two axes at once, which no table of a control does; the bridge corrects it"
             }
-            _ => {
-                "it changes while the machine runs, which no table of a control follows; the bridge does"
-            }
+            _ => by_column.as_deref().unwrap_or(
+                "it changes while the machine runs, which no table of a control follows; the bridge does",
+            ),
         };
         // The growth by tool is the last term.
         let is_list = machine.spindle.tools.is_some() && index + 1 == machine.terms.len();
@@ -209,6 +212,14 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
         left_out.push((name, reason.to_string()));
     }
     left_out
+}
+
+/// Returns the column that a term depends on where it is none of the model's own: the tool, or a condition.
+fn column<'e>(effect: &'e Effect) -> Option<&'e str> {
+    effect.reads().into_iter().find_map(|input| match input {
+        Input::Column(column) | Input::Lagged { column, .. } => Some(column),
+        _ => None,
+    })
 }
 
 /// Returns the angles and lines that a control with tables of one axis cannot hold, each with the reason.

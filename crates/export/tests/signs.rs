@@ -286,3 +286,29 @@ fn a_periodic_error_gets_points_where_it_bends() {
         assert!(export.report.largest_um() < 0.15, "{}", export.report);
     }
 }
+
+#[test]
+fn what_depends_on_the_tool_or_a_condition_is_left_out_by_name_with_the_reason() {
+    let source = format!(
+        "{MACHINE}[spindle.tools]\n7 = {{ um_per_krpm2 = 0.02 }}\ndefault = {{ um_per_krpm2 = 0.01 }}\n\
+         [inputs]\ndoor_open = {{ kind = \"condition\", bit = 0 }}\n\
+         [[term]]\ncause = \"dependence\"\nquantity = \"dx\"\ncolumn = \"door_open\"\nform = \"level\"\n\
+         levels = [0.0, 1.0]\nlevel_um = [0.0, 5.0]\n"
+    );
+    let with = MachineFile::parse(&source, Path::new("hand.toml")).expect("it is correct");
+    for format in [Format::LinuxCnc, Format::Siemens840d, Format::Heidenhain, Format::Fanuc] {
+        let of = |machine| export(machine, format, &Options::default()).expect("it can be held");
+        let (with, without) = (of(&with), of(&machine()));
+        for (section, column) in [("spindle.tools", "tool"), ("term[0] (dependence)", "door_open")]
+        {
+            let line =
+                format!("{section}: it depends on {column}, which no table of a control knows");
+            assert!(with.report.to_string().contains(&line), "{line}\n{}", with.report);
+        }
+        // The tables are those of the machine without them.
+        assert_eq!(with.files.len(), without.files.len());
+        for (with, without) in with.files.iter().zip(&without.files) {
+            assert_eq!(with.text, without.text, "{}", with.name);
+        }
+    }
+}

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use trueup_learn::{EventKind, Learned, Limits, Memory, learn};
-use trueup_machine::RunFile;
+use trueup_machine::{MachineFile, RunFile};
 
 const MACHINE: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"temperature\"\n\
                        [spindle.temperature]\nsensor = \"temp_a_c\"\nreference_c = 20.0\n\
@@ -302,4 +302,37 @@ fn a_check_of_the_probe_is_taken_off_and_its_absence_is_said() {
     assert!(!checked.notes.iter().any(|note| note.contains("No check of the probe")));
     let unchecked = taught(&file(false), None, &limits);
     assert!(unchecked.notes.iter().any(|note| note.contains("No check of the probe for 80 days")));
+}
+
+/// Probings with two tools at speed: each tool's own growth is the file's, and what changes is the spindle's.
+#[test]
+fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
+    let machine = format!(
+        "{MACHINE}[spindle.tools]\n7 = {{ um_per_krpm2 = 0.02 }}\ndrill = {{ number = 3, um_per_krpm2 = 0.05 }}\n\
+         default = {{ um_per_krpm2 = 0.01 }}\n"
+    );
+    let probed = |k: f64| {
+        let plain = record(0.0, 60, |celsius, n| {
+            k * (celsius - 20.0) + [8.0, 20.0, 4.0][n % 3] // 20,000 r/min: 400 times the constant.
+        });
+        let mut text = "time_s,temp_a_c,measured_elongation_um,spindle_rpm,tool\n".to_string();
+        let cells = ["time_s", "temp_a_c", "measured_elongation_um"]
+            .map(|it| plain.column(it).expect("there"));
+        for n in 0..60 {
+            let [time, celsius, um] = [0, 1, 2].map(|it| cells[it][n]);
+            text += &format!("{time},{celsius},{um},20000,{}\n", ["7", "drill", "99"][n % 3]);
+        }
+        let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
+        let file = MachineFile::parse(&machine, Path::new("m.toml")).expect("it is correct");
+        let run = run.with_tool_numbers(&file).expect("all are listed");
+        learn(&machine, Path::new("m.toml"), &run, None, None, &Limits::default())
+            .unwrap_or_else(|error| panic!("{error}"))
+    };
+    let quiet = probed(2.0);
+    assert_eq!(quiet.machine, machine, "the file is right");
+    assert!(quiet.readings.iter().all(|it| it.used));
+    let changed = probed(2.6);
+    assert!((k(&changed.machine) - 2.6).abs() < 0.1, "{}", changed.machine);
+    let tools = |text: &str| text.split("[spindle.tools]").nth(1).map(str::to_string);
+    assert_eq!(tools(&changed.machine), tools(&machine));
 }

@@ -12,8 +12,6 @@ use std::{
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{process, setup};
 
-use crate::cargo;
-
 /// Builds here and in a clone, and returns the clone's folder.
 ///
 /// # Errors
@@ -55,11 +53,11 @@ fn git(root: &Path) -> Command {
     git
 }
 
-/// Builds all files of a folder by the program of that folder.
+/// Builds all files of a folder. This program does it for both: it is of the same commit.
 fn once_in(root: &Path, commit_time: u64) -> Result<()> {
     trueup_output::diagnostic(format_args!("building in {}", root.display()));
-    let mut command = cargo::locked("run");
-    command.current_dir(root).args(["--bin", "xtask", "--", "release", "--once"]);
+    let mut command = Command::new(env::current_exe()?);
+    command.current_dir(root).args(["release", "--once"]);
     let home = match env::var_os("CARGO_HOME") {
         Some(home) => PathBuf::from(home),
         None => PathBuf::from(env::var_os("HOME").context("HOME is not set")?).join(".cargo"),
@@ -68,10 +66,12 @@ fn once_in(root: &Path, commit_time: u64) -> Result<()> {
     let flags = [flag(root, "/trueup"), flag(&home, "/cargo")];
     command.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
     command.env("SOURCE_DATE_EPOCH", commit_time.to_string());
-    // What this process was started with belongs to this folder alone.
-    for variable in ["CARGO_MANIFEST_DIR", "CARGO_MANIFEST_PATH", "CARGO_TARGET_DIR", "RUSTFLAGS"] {
+    // What this process was started with belongs to its folder alone.
+    for variable in ["CARGO_MANIFEST_PATH", "CARGO_TARGET_DIR", "RUSTFLAGS"] {
         command.env_remove(variable);
     }
+    // The folder that the program works in.
+    command.env("CARGO_MANIFEST_DIR", root.join("xtask"));
     process::run(&mut command)
 }
 

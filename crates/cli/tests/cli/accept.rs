@@ -91,3 +91,31 @@ fn runs_that_cannot_be_compared_are_refused_with_their_place() {
         assert!(said_of.is_none_or(|it| said.contains(it)), "{cells}: {said}");
     }
 }
+
+/// A term names tools by their numbers, the record by their labels: the machine file translates.
+#[test]
+fn labels_of_tools_are_the_numbers_of_the_machine_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let put = |name: &str, text: &str| fs::write(folder.path().join(name), text).expect("written");
+    put(
+        "m.toml",
+        "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle.tools]\nprobe = { number = 7, um_per_krpm2 = 0.0 }\n\
+         default = { um_per_krpm2 = 0.0 }\n[[term]]\ncause = \"dependence\"\nquantity = \"elongation\"\n\
+         column = \"tool\"\nform = \"level\"\nlevels = [7.0]\nlevel_um = [10.0]\nlevel_default = 0.0\n",
+    );
+    // The tool is 10 µm longer than without the term, and the bridge has taken off four fifths of it.
+    let run = |um: f64, tool: &str| {
+        let rows = (0..12).map(|n| format!("{},{um:.1},{tool}\n", 60 * n));
+        format!("time_s,measured_elongation_um,tool\n{}", rows.collect::<String>())
+    };
+    let mut answers = Vec::new();
+    for tool in ["probe", "7"] {
+        put("off.csv", &run(10.0, tool));
+        put("on.csv", &run(2.0, tool));
+        let (_, _, said) = accept(folder.path(), &["--machine", "m.toml"]);
+        let text =
+            fs::read_to_string(folder.path().join("acceptance/acceptance.json")).expect("written");
+        answers.push((said, text));
+    }
+    assert_eq!(answers[0], answers[1]);
+}

@@ -155,19 +155,25 @@ fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     let in_c = others.filter_map(|other| range(&other.values));
     let in_c = in_c.filter(|[least, _]| !STANDING_F.contains(least));
     let around = in_c.reduce(|[low, high], [least, most]| [low.min(least), high.max(most)]);
-    let celsius = |fahrenheit: f64| (fahrenheit - 32.0) / 1.8;
     around.is_none_or(|[low, high]| {
         celsius(most_f) >= low - APART_C && celsius(least_f) <= high + APART_C
     })
 }
 
 /// Returns whether another run has the column, in °C beyond doubt, and up to where this one begins: a run of the warm
-/// end, next to that of the cold one.
+/// end, next to that of the cold one. One that begins well below the other's end, and in °F where the other begins,
+/// may be the same cold start again.
 fn continues_one(column: &Column, others: &[RunFile]) -> bool {
-    let Some([coldest_c, _]) = range(&column.values) else { return false };
+    let Some([coldest, _]) = range(&column.values) else { return false };
     let same = others.iter().filter_map(|run| range(run.column(&column.name)?));
-    same.filter(|[least, _]| !STANDING_F.contains(least))
-        .any(|[least_c, most_c]| least_c <= coldest_c && coldest_c <= most_c + APART_C)
+    same.filter(|[least, _]| !STANDING_F.contains(least)).any(|[least_c, most_c]| {
+        let is_again = (celsius(coldest) - least_c).abs() <= APART_C && coldest + APART_C < most_c;
+        least_c <= coldest && coldest <= most_c + APART_C && !is_again
+    })
+}
+
+fn celsius(fahrenheit: f64) -> f64 {
+    (fahrenheit - 32.0) / 1.8
 }
 
 /// Returns whether a machine has this temperature, in °C.

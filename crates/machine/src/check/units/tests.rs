@@ -113,13 +113,14 @@ fn what_is_warm_from_the_start_beside_others_is_no_fahrenheit() {
 /// is asked.
 #[test]
 fn a_run_that_goes_on_where_another_ends_is_in_its_unit() {
-    let record = |from_c: f64| {
-        let rows =
-            (0..60).map(|row| format!("{},{:.2},0\n", 60 * row, from_c + 0.2 * f64::from(row)));
+    let record_by = |from_c: f64, step_c: f64| {
+        let at = |row| from_c + step_c * f64::from(row);
+        let rows = (0..60).map(|row| format!("{},{:.2},0\n", 60 * row, at(row)));
         let text =
             format!("time_s,temp_nose_c,measured_elongation_um\n{}", rows.collect::<String>());
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own run")
     };
+    let record = |from_c: f64| record_by(from_c, 0.2);
     let hot = record(52.0);
     let is_asked = |others: &[RunFile]| {
         findings(&hot, None, others).iter().any(|it| it.warning.what.contains("°F"))
@@ -127,4 +128,7 @@ fn a_run_that_goes_on_where_another_ends_is_in_its_unit() {
     assert!(is_asked(&[]) && is_asked(&[record(52.0)]));
     assert!(!is_asked(&[record(52.0), record(38.0)]), "38 to 49.8 °C, then 52");
     assert!(is_asked(&[record(20.0)]), "20 to 31.8 °C does not reach 52");
+    let wide = |from_c: f64| record_by(from_c, 1.0);
+    assert!(is_asked(&[wide(11.0)]), "52 °F are 11.1 °C, where a run to 70 °C began");
+    assert!(!is_asked(&[wide(20.0)]), "52 °F are 11.1 °C, and the other began at 20");
 }
