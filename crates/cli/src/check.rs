@@ -21,9 +21,9 @@ use crate::{Outcome, files, output, report, runs, summary};
 /// Exit 3: something looks wrong. Exit 2: a value is impossible.
 #[derive(Args)]
 #[command(after_help = "Examples:
-  trueup check machine.toml
-  trueup check machine.toml run1.csv run2.csv
-  trueup check *.csv --machine machine.toml --json")]
+  trueup check mill/mill.toml
+  trueup check mill/mill.toml mill/pitch-x.csv mill/warmup-off.csv
+  trueup check mill/*.csv --machine mill/mill.toml --json")]
 pub struct Check {
     /// Machine files (.toml) and run files.
     #[arg(value_name = "FILE", required_unless_present = "machine")]

@@ -167,8 +167,7 @@ pub fn run(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     set.commit()?;
     print(args, &diagnosis, as_json)?;
     if let Some(control) = args.next {
-        let motion = (&args.motion, args.gauge.gauge());
-        next::write(&diagnosis, &machine, control, motion, &args.out, as_json)?;
+        next::write(&diagnosis, &machine, control, args, as_json)?;
     }
     Ok(if diagnosis.report.verdict.is_met() { Outcome::Done } else { Outcome::NotMet })
 }

@@ -20,7 +20,12 @@ macro_rules! files {
 /// What is written.
 const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
-        "scenario-warmup.toml" "spindle_paper_table1.csv"),
+        "scenario-lathe.toml" "scenario-mill.toml" "scenario-warmup.toml" "spindle_paper_table1.csv"),
+    files!("data/mill/" => "mill/": "README.md" "axis-heat-x.csv" "backlash-x.csv" "circle-ccw.csv" "circle-cw.csv"
+        "diagonal-xy.csv" "mill.toml" "pitch-x.csv" "straightness-x.csv" "straightness-y.csv" "warmup-off.csv"
+        "warmup-on.csv"),
+    files!("data/mill/years/" => "mill/years/": "2024-11-04-backlash-x.csv" "2025-05-05-backlash-x.csv"
+        "2025-11-03-backlash-x.csv"),
     files!("integrations/linuxcnc/" => "linuxcnc/": "M110" "README.md" "simulated_gantry.hal" "simulated_lathe.hal"
         "trueup.hal" "trueup_lathe.hal" "trueup_lathe.ini" "trueup_lathe.toml"
         "trueup_gantry.toml" "trueup_machine.inc" "trueup_message.hal" "trueup_panel.hal"
@@ -34,8 +39,8 @@ const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("crates/canopen/" => "wire/": "trueup.eds"),
 ];
 
-/// Writes examples: machine files, a run, scenarios, and the files for LinuxCNC, SINUMERIK, FANUC, Modbus
-/// and the wire.
+/// Writes examples: machine files, runs, scenarios, and the files for LinuxCNC, SINUMERIK, FANUC, Modbus
+/// and the wire. The examples in the help of each command run in that folder.
 #[derive(Args)]
 pub struct Examples {
     /// The folder; it is made if there is none. No file in it is overwritten.
@@ -92,13 +97,19 @@ mod tests {
             EXAMPLES.iter().copied().flatten().map(|(name, _)| *name).collect();
         for (folder, to) in [
             ("data", ""),
+            ("data/mill", "mill/"),
+            ("data/mill/years", "mill/years/"),
             ("integrations/linuxcnc", "linuxcnc/"),
             ("integrations/siemens-840d", "siemens-840d/"),
             ("integrations/fanuc", "fanuc/"),
             ("integrations/modbus", "modbus/"),
         ] {
             for entry in fs::read_dir(root.join(folder)).expect("a folder of the project") {
-                let name = entry.expect("readable").file_name().to_string_lossy().into_owned();
+                let entry = entry.expect("readable");
+                if entry.path().is_dir() {
+                    continue;
+                }
+                let name = entry.file_name().to_string_lossy().into_owned();
                 assert!(carried.contains(&format!("{to}{name}").as_str()), "{folder}/{name}");
             }
         }

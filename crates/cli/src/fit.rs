@@ -30,7 +30,7 @@ use self::args::{
     Backlash, By, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
     Thermal, Warmup, Ways,
 };
-use crate::{Outcome, UserError, files, origin, output, runs};
+use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
 /// The files that were read.
 struct Input {
@@ -76,6 +76,11 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     }
     let written = write(&input, common, &report)?;
     report::print(&report, common, written, as_json)?;
+    let is_whole = input.machine.is_some() && !output::is_standard_output(&common.output);
+    if written && is_whole && !as_json {
+        let folder = common.output.parent().unwrap_or(Path::new(""));
+        commands::print(&commands::to_board(&common.output, folder))?;
+    }
     let is_met = report.verdict.is_fitted() && report.unmet.is_empty();
     Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
 }
@@ -153,7 +158,7 @@ fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
     let known = |curve: &straightness::StraightnessCurve| {
         input.known(run, Without::Straightness { error: curve.error, along: curve.along })
     };
-    Ok(curve::fit(run, args.curve.error.quantity.as_deref(), known, &options)?)
+    Ok(curve::fit(run, args.curve.error.quantity().as_deref(), known, &options)?)
 }
 
 fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
@@ -163,8 +168,7 @@ fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
         Ways::Both => pitch::Ways::Both,
     };
     let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
-    let axis =
-        axis_of(&input.runs, args.positions.axis.quantity(&args.positions.error).as_deref())?;
+    let axis = axis_of(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
         let options = |run: &Unaided<'_>| -> Result<pitch::Options> {
@@ -215,7 +219,7 @@ fn positions<'a>(
     args: &Positions,
 ) -> Result<(&'a Unaided<'a>, LinearAxis, pitch::Options)> {
     let run = input.run()?;
-    let axis = axis_of(&input.runs, args.axis.quantity(&args.error).as_deref())?;
+    let axis = axis_of(&input.runs, args.error.quantity().as_deref())?;
     Ok((run, axis, position_options(input, args, run, axis)?))
 }
 
@@ -236,7 +240,7 @@ fn position_options(
 }
 
 fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
-    let axis = axis_of(&input.runs, args.axis.quantity(&args.error).as_deref())?;
+    let axis = axis_of(&input.runs, args.error.quantity().as_deref())?;
     let mut known_um = Vec::new();
     for run in &input.runs {
         match input.known(run, Without::Thermal(axis))? {

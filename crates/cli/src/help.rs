@@ -21,68 +21,87 @@ const SHORT: &[(&str, char)] = &[
     ("control", 'c'),
 ];
 
-/// By the words of a command, what its help ends with. A command that is not here has its own.
+/// By the words of a command, what its help ends with: lines that run in a folder of `trueup examples`, in the order of the
+/// groups. A command that is not here has its own.
 const EXAMPLES: &[(&str, &str)] = &[
-    ("compile", "trueup compile machine.toml -o machine.bin"),
-    ("compare", "trueup compare before.csv after.csv --limit-um 5 --out comparison"),
+    ("compile", "trueup compile mill/mill.toml -o mill.bin"),
+    (
+        "compare",
+        "trueup compare mill/years/2024-11-04-backlash-x.csv mill/years/2025-11-03-backlash-x.csv --limit-um 5 --out comparison",
+    ),
     (
         "accept",
-        "trueup accept --off off.csv --on on.csv --machine machine.toml --require 90 --out acceptance",
+        "trueup accept --off mill/warmup-off.csv --on mill/warmup-on.csv --machine mill/mill.toml --require 90 --out acceptance",
     ),
     (
         "diagnose",
-        "trueup diagnose --machine machine.toml --run monday.csv --run tuesday.csv --out diagnosis",
+        "trueup diagnose --machine mill/mill.toml --run mill/warmup-off.csv --out diagnosis",
     ),
-    ("export", "trueup export machine.toml --format siemens-840d -o tables"),
-    ("fit", "trueup fit backlash --run measured.csv --machine machine.toml -o fitted.toml"),
+    ("export", "trueup export gantry.toml --format siemens-840d -o tables"),
+    (
+        "fit",
+        "trueup fit backlash --run mill/backlash-x.csv --machine mill/mill.toml -o fitted.toml",
+    ),
     (
         "fit straightness",
-        "trueup fit straightness --run measured.csv --machine machine.toml --tolerance-um 9 -o fitted.toml",
+        "trueup fit straightness --run mill/straightness-x.csv --axis z --machine mill/mill.toml --tolerance-um 2 -o fitted.toml",
     ),
     (
         "fit pitch",
-        "trueup fit pitch --run measured.csv --machine machine.toml --quantity dx -o fitted.toml",
+        "trueup fit pitch --run mill/pitch-x.csv --axis x --machine mill/mill.toml -o fitted.toml",
     ),
     (
         "fit backlash",
-        "trueup fit backlash --run measured.csv --machine machine.toml -o fitted.toml",
+        "trueup fit backlash --run mill/backlash-x.csv --axis x --machine mill/mill.toml -o fitted.toml",
     ),
     (
         "fit elongation",
-        "trueup fit elongation --run measured.csv --machine machine.toml -o fitted.toml",
+        "trueup fit elongation --run mill/warmup-off.csv --machine mill/mill.toml -o fitted.toml",
     ),
-    ("fit warmup", "trueup fit warmup --run measured.csv --machine machine.toml -o fitted.toml"),
-    ("fit thermal", "trueup fit thermal --run measured.csv --machine machine.toml -o fitted.toml"),
+    (
+        "fit warmup",
+        "trueup fit warmup --run mill/warmup-off.csv --machine mill/mill.toml -o fitted.toml",
+    ),
+    (
+        "fit thermal",
+        "trueup fit thermal --run mill/axis-heat-x.csv --axis x --machine mill/mill.toml -o fitted.toml",
+    ),
     (
         "fit circle",
-        "trueup fit circle --run ccw.csv --run cw.csv --machine machine.toml -o fitted.toml --out circle",
+        "trueup fit circle --run mill/circle-ccw.csv --run mill/circle-cw.csv --machine mill/mill.toml -o fitted.toml --out circle",
     ),
     (
         "fit table1",
-        "trueup fit table1 --run z_of_x.csv --run z_of_y.csv --run diagonal.csv -o table1.html",
+        "trueup fit table1 --run mill/straightness-x.csv --run mill/straightness-y.csv --run mill/diagonal-xy.csv --axis z -o table1.html",
     ),
     (
         "fleet submit",
-        "trueup fleet submit --dir shop --machine mill-7.toml --run mill-7-2026-11-22.csv --name M-0007",
+        "trueup fleet submit --dir shop --machine mill/mill.toml --run mill/warmup-off.csv --name M-0007 --date 2026-11-22",
     ),
     ("fleet worker", "trueup fleet worker --dir shop --threads 2 --until-empty"),
     ("fleet status", "trueup fleet status --dir shop"),
     ("fleet diagnose", "trueup fleet diagnose --dir shop --out series"),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
-    ("linuxcnc check", "trueup linuxcnc check machine.ini --machine machine.toml"),
+    (
+        "linuxcnc check",
+        "trueup linuxcnc check linuxcnc/trueup_sim.ini --machine linuxcnc/trueup_gantry.toml",
+    ),
     (
         "linuxcnc setup",
-        "trueup linuxcnc setup machine.ini --by joint --port /dev/ttyUSB0 --machine machine.toml",
+        "trueup linuxcnc setup machine.ini --by joint --port /dev/ttyUSB0 --machine mill/mill.toml",
     ),
     ("linuxcnc status", "trueup linuxcnc status machine.ini"),
-    ("show", "trueup show machine.bin > shown.toml"),
+    ("show", "trueup show mill.bin > shown.toml"),
     (
         "program",
-        "trueup program backlash --machine machine.toml --for siemens --range z=-120:-20 -o measure",
+        "trueup program backlash --machine mill/mill.toml --for siemens --range z=-120:-20 -o measure",
     ),
-    ("sign", "trueup sign trueup-0.2.0.tar.gz --check trueup.pub.pem"),
-    ("simulate", "trueup simulate --scenario scenario.toml --seed 1 -o run.csv"),
-    ("trend", "trueup trend measured --limit-um 2 --out trend"),
+    (
+        "sign",
+        "trueup sign --new key.pem\n  trueup sign mill.bin --key key.pem\n  trueup sign mill.bin --check key.pub.pem",
+    ),
+    ("simulate", "trueup simulate --scenario scenario-warmup.toml --seed 1 -o day.csv"),
+    ("trend", "trueup trend mill/years --limit-um 2 --out trend"),
     ("firmware", "trueup firmware images"),
     ("examples", "trueup examples examples"),
     ("completions", "trueup completions bash > ~/.local/share/bash-completion/completions/trueup"),
@@ -93,23 +112,26 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bridge forget-reference", "trueup bridge forget-reference --port /dev/ttyUSB0"),
     ("bridge list", "trueup bridge list"),
     ("bridge info", "trueup bridge info --port /dev/ttyUSB0"),
-    ("bridge load", "trueup bridge load machine.bin --port /dev/ttyUSB0"),
+    ("bridge load", "trueup bridge load mill.bin --port /dev/ttyUSB0"),
     ("bridge monitor", "trueup bridge monitor --port /dev/ttyUSB0"),
     ("bridge save", "trueup bridge save board.json --port /dev/ttyUSB0"),
     ("bridge pending", "trueup bridge pending --port /dev/ttyUSB0"),
     ("bridge restore", "trueup bridge restore board.json --port /dev/ttyUSB0"),
-    ("learn", "trueup learn --machine machine.toml --run record.csv -o learned.toml"),
-    ("trust", "trueup trust --machine machine.toml --calibrated then.csv --run now.csv"),
+    ("learn", "trueup learn --machine mill/mill.toml --run mill/warmup-off.csv -o learned.toml"),
+    (
+        "trust",
+        "trueup trust --machine mill/mill.toml --calibrated mill/warmup-off.csv --run mill/warmup-on.csv",
+    ),
     (
         "commission",
-        "trueup commission --machine machine.toml --port /dev/ttyUSB0 --for siemens --out commissioning",
+        "trueup commission --machine mill/mill.toml --port /dev/ttyUSB0 --for siemens --rpm 6000 --out commissioning",
     ),
 ];
 
 /// Returns the lines that are examples.
 #[cfg(test)]
 pub fn lines() -> impl Iterator<Item = &'static str> {
-    EXAMPLES.iter().map(|(_, line)| *line)
+    EXAMPLES.iter().flat_map(|(_, lines)| lines.lines().map(str::trim))
 }
 
 /// The commands by what they are for, in the order of the work.

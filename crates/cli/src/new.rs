@@ -21,15 +21,17 @@ use crate::{Outcome, UserError, files, output, questions, report};
 /// On a terminal what no flag says is asked for; otherwise, or with --yes, the defaults are taken.
 #[derive(Args)]
 #[command(after_help = "Examples:
+  trueup new
   trueup new -o mill.toml
   trueup new -o mill.toml --yes --name mill --travel x=0:600 --travel y=0:400 --travel z=-300:0 \\
       --sensor-um-per-v 50 --sensor-zero-v 1.54 --thermometer screw --control siemens
   trueup new -o lathe.toml --yes --kind lathe --travel x=0:150 --travel z=-400:0
   trueup new -o - --yes --kind head-head --head-axes c,a      on standard output")]
 pub struct New {
-    /// Where to write the machine file; `-` is standard output. A file that is there is left alone.
+    /// Where to write the machine file; `-` is standard output, left out it is named after the machine. A file that
+    /// is there is left alone.
     #[arg(long, value_name = "M.toml")]
-    output: PathBuf,
+    output: Option<PathBuf>,
     /// The machine's name.
     #[arg(long)]
     name: Option<String>,
@@ -120,22 +122,27 @@ fn travel(text: &str) -> Result<(LinearAxis, [f64; 2]), String> {
 
 /// Writes the file.
 pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
-    let is_stdout = output::is_standard_output(&args.output);
-    if !is_stdout {
-        is_free(&args.output)?;
-    }
     let asks =
         !args.yes && !as_json && stdin().is_terminal() && trueup_output::is_output_terminal();
-    let template = match (by_flags(args)?, asks) {
-        (template, true) => questions::ask(template, &said(args))?,
-        (template, false) => template,
+    let template = by_flags(args)?;
+    // Before anything is asked: answers are not to be lost.
+    let asks_name = asks && args.output.is_none() && args.name.is_none();
+    if !asks_name {
+        is_free(&path(args, &template.name))?;
+    }
+    let check_name = |name: &str| is_free(&path(args, name)).map_err(|error| error.0);
+    let template = match asks {
+        true => questions::ask(template, &said(args), &check_name)?,
+        false => template,
     };
-    let name = if is_stdout { "machine.toml".into() } else { args.output.to_string_lossy() };
+    let path = path(args, &template.name);
+    let is_stdout = output::is_standard_output(&path);
+    let name = if is_stdout { "machine.toml".into() } else { path.to_string_lossy() };
     let text = template.to_toml(&name);
     // What cannot be, and no flag alone could tell: a head with three axes, two thermometers of a name.
-    MachineFile::parse(&text, &args.output).map_err(|BadInput { rule, .. }| UserError(rule))?;
-    files::to_be_written(&text, &args.output, None)?;
-    output::write_whole(&args.output, &[], |out| out.write_all(text.as_bytes()))?;
+    MachineFile::parse(&text, &path).map_err(|BadInput { rule, .. }| UserError(rule))?;
+    files::to_be_written(&text, &path, None)?;
+    output::write_whole(&path, &[], |out| out.write_all(text.as_bytes()))?;
     if as_json {
         output::print(json!({"output": name, "machine": template.name}))?;
     } else {
@@ -147,8 +154,20 @@ pub fn run(args: &New, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Before anything is asked: answers are not to be lost.
+/// Returns where the file goes: where the flag says, else in this folder, named after the machine.
+fn path(args: &New, machine: &str) -> PathBuf {
+    args.output.clone().unwrap_or_else(|| {
+        let is_plain = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
+        let stem: String = machine.chars().map(|c| if is_plain(c) { c } else { '-' }).collect();
+        format!("{}.toml", stem.to_lowercase()).into()
+    })
+}
+
+/// Fails if a file cannot be written without harm to another one.
 fn is_free(path: &Path) -> Result<(), UserError> {
+    if output::is_standard_output(path) {
+        return Ok(());
+    }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let rule = match folder {
         _ if path.exists() => "is there already, and is left alone",

@@ -14,7 +14,7 @@ use crate::{Outcome, files, output, report, runs};
 /// Exit 3: somewhere the bridge is further from the model than `compile` has promised.
 #[derive(Args)]
 #[command(after_help = "Example:
-  trueup predict --machine machine.toml --run run.csv -o predicted.csv")]
+  trueup predict --machine mill/mill.toml --run mill/warmup-off.csv -o predicted.csv")]
 pub struct Predict {
     /// The machine file.
     #[arg(long, value_name = "M.toml")]

@@ -178,10 +178,10 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
             });
             let ways: String = ways.collect();
             lines.push(format!(
-                "{name}: {readings} readings, at least {minutes:.0} min{ways}; fill in {}\n  then: {}",
+                "{name}: {readings} readings, at least {minutes:.0} min{ways}; fill in {}",
                 runs.join(", "),
-                plan.then
             ));
+            lines.extend(plan.then.iter().map(|line| format!("  then: {line}")));
         }
         for (name, text) in [(name, text)].into_iter().chain(templates.iter().cloned()) {
             output::check_measurement(&args.out.join(&name), &text)?;
@@ -197,29 +197,26 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns the commands of a plan as they can be typed: with the folder of their files, the machine file, and where to
-/// write.
-fn whole_lines(then: &str, args: &Program) -> String {
-    let word = |path: &Path| shell_word(&path.to_string_lossy());
-    let machine = word(&args.machine);
-    let line = |line: &str| {
+/// write. What comes after a fit goes by the fitted file.
+fn whole_lines(then: &[String], args: &Program) -> Vec<String> {
+    let word = |path: &Path| shell_word(&path.to_string_lossy()).to_string();
+    let mut machine = args.machine.clone();
+    let mut lines = Vec::new();
+    for line in then {
         let words = line.split(' ').map(|it| match it.ends_with(".csv") {
             true => word(&args.out.join(it)),
             false => it.to_string(),
         });
         let words: Vec<String> = words.collect();
-        let ending = match words.get(1).map(String::as_str) {
-            Some("fit") => format!(
-                " --machine {machine} -o {}",
-                word(&args.machine.with_extension("fitted.toml"))
-            ),
-            Some("accept") => {
-                format!(" --machine {machine} --out {}", word(&args.out.join("acceptance")))
-            }
-            _ => String::new(),
-        };
-        words.join(" ") + &ending
-    };
-    then.split("; then ").map(line).collect::<Vec<_>>().join("; then ")
+        let with = format!("{} --machine {}", words.join(" "), word(&machine));
+        if words[1] == "fit" {
+            machine = args.machine.with_extension("fitted.toml");
+            lines.push(format!("{with} -o {}", word(&machine)));
+        } else {
+            lines.push(format!("{with} --out {}", word(&args.out.join("acceptance"))));
+        }
+    }
+    lines
 }
 
 fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {

@@ -109,8 +109,12 @@ enum Answer<T> {
 const BACK: &str = "<";
 
 /// Returns the template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
-/// again at once, and `<` goes back: nobody is to answer ten questions twice.
-pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
+/// again at once, and `<` goes back: nobody is to answer ten questions twice. `check_name` refuses a name.
+pub fn ask(
+    mut template: Template,
+    said: &Said,
+    check_name: &dyn Fn(&str) -> Result<(), String>,
+) -> Result<Template> {
     use Question as Q;
     let all = [
         (Q::Name, said.name),
@@ -133,7 +137,7 @@ pub fn ask(mut template: Template, said: &Said) -> Result<Template> {
     while let Some(question) = open.get(next) {
         if !applies(*question, &template) {
             next += 1;
-        } else if one(*question, &mut template)? {
+        } else if one(*question, &mut template, check_name)? {
             asked.push(next);
             next += 1;
         } else {
@@ -153,13 +157,16 @@ fn applies(question: Question, template: &Template) -> bool {
 }
 
 /// Asks one question; false: back to the one before.
-fn one(question: Question, template: &mut Template) -> Result<bool> {
+fn one(
+    question: Question,
+    template: &mut Template,
+    check_name: &dyn Fn(&str) -> Result<(), String>,
+) -> Result<bool> {
     match question {
         Question::Name => {
             let name = template.name.clone();
-            let Answer::Given(name) =
-                needed("Name of the machine", &name, |text| Ok(text.to_string()))?
-            else {
+            let checked = |text: &str| check_name(text).map(|()| text.to_string());
+            let Answer::Given(name) = needed("Name of the machine", &name, checked)? else {
                 return Ok(false);
             };
             template.name = name;

@@ -1,8 +1,8 @@
 //! The hand at the CNC of a virtual bridge: what is typed where the bridge was started. From the first
 //! `engage` or `disengage` on the bridge receives a CNC on its bus, homed and with `Engage` or without, where it
 //! allows that it is written to; `confirm` answers a question of the bridge; `close` and `open` move the service
-//! switch of the board; `again` plays the run from its start. So that a commissioning can be
-//! rehearsed, whose tool has the only line.
+//! switch of the board; `again` plays the run from its start; `gauge` prints what gauges at the machine show. So that a
+//! commissioning can be rehearsed, whose tool has the only line.
 
 use std::{
     io::{self, IsTerminal as _},
@@ -20,6 +20,8 @@ use rustix::{
     termios::tcgetpgrp,
 };
 use trueup_core::cnc::Control;
+
+use crate::gauge::Gauge;
 
 /// How often it is looked whether this command has the terminal.
 const LOOK: Duration = Duration::from_millis(200);
@@ -42,9 +44,9 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// Returns a hand that types at standard input.
+    /// Returns a hand that types at standard input, next to this gauge.
     #[must_use]
-    pub fn at_standard_input() -> Self {
+    pub fn at_standard_input(gauge: Gauge) -> Self {
         let hand = Self::default();
         let typed = hand.clone();
         thread::spawn(move || {
@@ -52,6 +54,7 @@ impl Hand {
             while has_line() {
                 line.clear();
                 match io::stdin().read_line(&mut line) {
+                    Ok(1..) if line.trim() == "gauge" => trueup_output::diagnostic(gauge.text()),
                     Ok(1..) => trueup_output::diagnostic(typed.take(line.trim())),
                     _ => return,
                 }
@@ -97,7 +100,8 @@ impl Hand {
                 "the service switch is open"
             }
             _ => {
-                "engage, disengage, confirm, again (the run from its start), close or open (the service switch)"
+                "engage, disengage, confirm, gauge (what gauges show), again (the run from its start), close or open \
+                 (the service switch)"
             }
         }
     }

@@ -18,6 +18,7 @@ pub mod cnc;
 pub mod firmware;
 mod frames;
 pub mod front_end;
+pub mod gauge;
 pub mod hand;
 pub mod linuxcnc;
 pub mod log;

@@ -24,6 +24,8 @@ use trueup_machine::{
 /// How long a row lasts in a run without `time_s`, unless it is said otherwise.
 pub const DEFAULT_ROW_S: f64 = 1.0;
 
+/// The column that a gauge at the tool shows.
+pub const GAUGED_COLUMN: &str = "measured_elongation_um";
 /// The columns of X, Y and Z.
 const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
 /// The columns of the direction of approach of X, Y and Z.
@@ -56,6 +58,8 @@ pub struct Replay {
     /// From when on each situation holds, rising from 0.
     from_s: Vec<f64>,
     situations: Vec<Situation>,
+    /// What the tool does in each row, in µm; empty: the run does not say.
+    growths_um: Vec<f64>,
     /// When each channel was read, and what it delivered: between two readings a mass goes from one to the other.
     readings: [Vec<(f64, Raw)>; CHANNELS],
 }
@@ -78,8 +82,12 @@ impl Replay {
         let speeds = run.column("spindle_rpm");
         let times = run.column("time_s");
         let mut columns = Columns::of(run, machine);
-        let mut replay =
-            Self { from_s: Vec::new(), situations: Vec::new(), readings: Default::default() };
+        let mut replay = Self {
+            from_s: Vec::new(),
+            situations: Vec::new(),
+            growths_um: run.column(GAUGED_COLUMN).map_or_else(Vec::new, <[f64]>::to_vec),
+            readings: Default::default(),
+        };
         let mut now = Situation::default();
         let mut start = None;
         for row in 0..run.rows() {
@@ -148,6 +156,15 @@ impl Replay {
             *raw = between(readings, time_s).unwrap_or(*raw);
         }
         now
+    }
+
+    /// Returns what the tool does at a time in seconds from the start, in µm: the newest value of the run, 0 before the
+    /// first one; `None`: the run does not say.
+    #[must_use]
+    pub fn growth_um(&self, time_s: f64) -> Option<f64> {
+        let next = self.from_s.partition_point(|&from| from <= time_s);
+        let so_far = self.growths_um.get(..next.max(1))?;
+        Some(so_far.iter().rev().copied().find(|um| !um.is_nan()).unwrap_or(0.0))
     }
 
     /// When the last row begins.
@@ -407,6 +424,15 @@ mod tests {
         assert_eq!(replay.at(2.9).speed, Some(Rpm(300)));
         assert_eq!(replay.at(3.0).speed, Some(Rpm(24_000)));
         assert_eq!(replay.last_row_s(), 3.0);
+        assert_eq!(replay.growth_um(1.0), None, "the run does not say");
+    }
+
+    #[test]
+    fn a_gauge_shows_the_newest_value_of_the_run() {
+        let text = "time_s,sensor_counts,measured_elongation_um\n0,0,\n1,0,2.5\n2,0,\n3,0,4\n";
+        let replay = replay(text).expect("a good run");
+        let shown = [-1.0, 0.5, 1.0, 2.5, 9.0].map(|time| replay.growth_um(time));
+        assert_eq!(shown, [0.0, 0.0, 2.5, 2.5, 4.0].map(Some));
     }
 
     #[test]

@@ -31,6 +31,7 @@ use trueup_pipe::Block;
 use crate::{
     board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},
     front_end::FrontEnd,
+    gauge::Gauge,
     hand::Hand,
     plant::{Answer, Plant},
     replay::{Replay, Situation},
@@ -48,6 +49,14 @@ pub enum SampleSource {
     },
     /// A plant, in lock-step.
     Plant(Plant),
+}
+
+/// What stands at the virtual machine next to the bridge.
+pub struct AtMachine {
+    /// The hand at the CNC.
+    pub hand: Hand,
+    /// The gauge at the tool.
+    pub gauge: Gauge,
 }
 
 /// Blocks handed over at once while time is not paced.
@@ -68,7 +77,7 @@ pub fn serve(
     front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
-    hand: &Hand,
+    at_machine: &AtMachine,
     stop: Arc<AtomicBool>,
 ) -> Result<()> {
     let mut board = VirtualBoard::boot(image, calibration)?;
@@ -77,7 +86,7 @@ pub fn serve(
         board.qemu().id()
     ));
     end_with(stop.clone(), board.qemu().id());
-    let result = play(&mut board, front_end, listener, source, hand, &stop);
+    let result = play(&mut board, front_end, listener, source, at_machine, &stop);
     // Whatever broke because it was stopped is not an error.
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
 }
@@ -104,7 +113,7 @@ fn play(
     mut front_end: FrontEnd,
     listener: TcpListener,
     source: SampleSource,
-    hand: &Hand,
+    AtMachine { hand, gauge }: &AtMachine,
     stop: &AtomicBool,
 ) -> Result<()> {
     let opened = Arc::new(AtomicBool::new(false));
@@ -164,9 +173,15 @@ fn play(
                 }
                 match pace.due() {
                     0 => thread::sleep(Duration::from_micros(300)),
-                    due => {
-                        live(board, &|time| replay.at(time - began_s), due)?;
-                        lived_s += f64::from(due) / 1_000.0;
+                    mut due => {
+                        // In parts, so that the gauge keeps up with what a client has received.
+                        while due > 0 {
+                            let part = due.min(FREE_BATCH);
+                            due -= part;
+                            let output = live(board, &|time| replay.at(time - began_s), part)?;
+                            gauge.take(replay.growth_um(lived_s - began_s), output.as_ref());
+                            lived_s += f64::from(part) / 1_000.0;
+                        }
                     }
                 }
             }

@@ -12,10 +12,11 @@ use trueup_machine::{Machine, RunFile, compile};
 
 use crate::{
     front_end::FrontEnd,
+    gauge::Gauge,
     hand::Hand,
     plant::Plant,
-    replay::{DEFAULT_ROW_S, Replay},
-    serve::{self, SampleSource},
+    replay::{DEFAULT_ROW_S, GAUGED_COLUMN, Replay},
+    serve::{self, AtMachine, SampleSource},
 };
 
 /// What is asked for next to the machine: the options that both commands have.
@@ -36,6 +37,10 @@ pub struct Options {
     /// Where a plant listens that plays the machine, in JSON lines.
     #[arg(long, value_name = "tcp:HOST:PORT")]
     plant: Option<String>,
+    /// Where a gauge at the tool speaks, a value a line in µm: measured_elongation_um of the run, less what the CNC
+    /// has taken away by the offsets. `bridge monitor --indicator` reads it.
+    #[arg(long, value_name = "tcp:HOST:PORT", conflicts_with = "plant")]
+    gauge: Option<String>,
     /// Seed of the front end's noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -71,12 +76,17 @@ pub fn run(
         (Some(path), _) => {
             let run = RunFile::read(path)?.with_tool_numbers(machine)?;
             let names = run.columns().iter().map(|column| column.name.as_str());
-            let unused: Vec<_> = names.filter(|name| !Replay::uses(machine, name)).collect();
+            let unused =
+                names.filter(|name| !Replay::uses(machine, name) && *name != GAUGED_COLUMN);
+            let unused: Vec<_> = unused.collect();
             if !unused.is_empty() {
                 let unused = unused.join(", ");
                 trueup_output::diagnostic(format_args!(
                     "not replayed, this machine has no input for them: {unused}"
                 ));
+            }
+            if options.gauge.is_some() && run.column(GAUGED_COLUMN).is_none() {
+                bail!("{}: has no {GAUGED_COLUMN} that a gauge could show", path.display());
             }
             let replay = Replay::new(&run, machine, options.row_s)?;
             Ok(SampleSource::Run { replay, speed: options.speed.0 })
@@ -101,6 +111,11 @@ pub fn run(
     ));
     let divider = inputs.and_then(|inputs| inputs.sensor.as_ref()).map_or(0.0, |it| it.divider);
     let front_end = FrontEnd::new(divider, options.seed);
-    let hand = Hand::at_standard_input();
-    serve::serve(&image, compiled.blob(), front_end, listener, source, &hand, stop)
+    let gauge = Gauge::new(machine);
+    if let Some(address) = &options.gauge {
+        gauge.listen(serve::tcp_address(address)?)?;
+    }
+    let hand = Hand::at_standard_input(gauge.clone());
+    let at_machine = AtMachine { hand, gauge };
+    serve::serve(&image, compiled.blob(), front_end, listener, source, &at_machine, stop)
 }

@@ -3,6 +3,7 @@
 mod comp;
 mod control_tables;
 mod height_map;
+mod probe_log;
 mod refused;
 mod rtl;
 
@@ -32,6 +33,15 @@ pub(crate) fn recognise(
     }
     if height_map::is_klipper(text) {
         return Ok(Some(("Klipper bed mesh", height_map::klipper(text, path)?)));
+    }
+    if probe_log::is_klipper(text) {
+        return Ok(Some(("log of Klipper's probe", probe_log::klipper(text, path)?)));
+    }
+    if probe_log::is_grbl(text) {
+        return Ok(Some(("log of GRBL's probe", probe_log::grbl(text, answers, path)?)));
+    }
+    if probe_log::is_linuxcnc(text) {
+        return Ok(Some(("probe file of LinuxCNC", probe_log::linuxcnc(text, answers, path)?)));
     }
     if rtl::is_it(text) {
         return Ok(Some(("Renishaw target data", rtl::read(text, answers, path)?)));

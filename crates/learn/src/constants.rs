@@ -12,7 +12,7 @@
 //! has a place for it; for an axis it is nobody's.
 
 use serde::{Deserialize, Serialize};
-use toml_edit::{DocumentMut, Item, Value};
+use toml_edit::{DocumentMut, Item, TableLike, Value};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
     effect::{Effect, Stage},
@@ -159,17 +159,44 @@ fn amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
 /// where it has no section for one.
 pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
     let mut document: DocumentMut = source.parse().ok()?;
+    let counts_per_v = counts_per_v(&document);
     for (key, number) in changed {
         let (section, name) = key.rsplit_once('.')?;
         let section = find(document.as_item_mut(), section)?.as_table_like_mut()?;
+        let (name, number) = in_users_unit(section, name, *number, counts_per_v)?;
         let decor = section.get(name).and_then(Item::as_value).map(|old| old.decor().clone());
-        let mut new = Value::from(*number);
+        let mut new = Value::from(number);
         if let Some(decor) = decor {
             *new.decor_mut() = decor;
         }
         section.insert(name, new.into());
     }
     Some(document.to_string())
+}
+
+/// Returns the key and the number as the user has written that constant: growth for a volt, in the place of a count.
+fn in_users_unit<'k>(
+    section: &dyn TableLike,
+    name: &'k str,
+    number: f64,
+    counts_per_v: Option<f64>,
+) -> Option<(&'k str, f64)> {
+    match name {
+        "um_per_count" if section.contains_key("um_per_v") => {
+            Some(("um_per_v", number * counts_per_v?))
+        }
+        _ => Some((name, number)),
+    }
+}
+
+/// Returns how many counts a volt of the displacement sensor is, where the file says it.
+fn counts_per_v(document: &DocumentMut) -> Option<f64> {
+    let sensor = document.get("inputs")?.get("sensor")?.as_table_like()?;
+    let number = |key: &str| {
+        let value = sensor.get(key)?.as_value()?;
+        value.as_float().or_else(|| value.as_integer().map(|it| it as f64))
+    };
+    Some(number("counts_full_scale")? / number("volts_full_scale")?)
 }
 
 fn find<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
@@ -328,5 +355,14 @@ mod tests {
         let zero = with(source, &[("spindle.temperature.lag_s".into(), 1.0)]).expect("a section");
         assert!(zero.contains("lag_s = 1.0"), "{zero}");
         assert_eq!(with(source, &[("spindle.sensor.k0_um".into(), 1.0)]), None);
+    }
+
+    #[test]
+    fn a_sensor_that_is_written_for_a_volt_stays_so() {
+        let source = "[inputs]\nsensor = { volts_full_scale = 10.0, counts_full_scale = 32000 }\n\
+                      [spindle.sensor]\num_per_v = 50.0 # the data sheet's\n";
+        let changed = [("spindle.sensor.um_per_count".into(), 0.016)];
+        let text = with(source, &changed).expect("it is there");
+        assert_eq!(text, source.replace("50.0", "51.2"));
     }
 }

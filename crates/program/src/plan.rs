@@ -94,8 +94,8 @@ pub struct Plan {
     pub steps: Vec<Step>,
     /// The columns of the run file.
     pub columns: Vec<Column>,
-    /// What to do with the filled file.
-    pub then: String,
+    /// What to do with the filled file: a command each, without the machine file and where to write.
+    pub then: Vec<String>,
     /// X of the program is written as a diameter; every length of the plan is a radius.
     pub is_lathe: bool,
     /// The parts that the run file is recorded in, where it is more than one: `off`, `on`.

@@ -21,11 +21,13 @@ pub fn templates(plan: &Plan) -> Vec<(String, String)> {
 fn text(plan: &Plan) -> String {
     let empty: Vec<&str> = plan.columns.iter().filter_map(empty).collect();
     let mut text = format!(
-        "# {}: fill in {}, a row for each reading, errors as actual minus commanded\n# then: {}\n",
+        "# {}: fill in {}, a row for each reading, errors as actual minus commanded\n",
         plan.name,
         empty.join(", "),
-        plan.then
     );
+    for line in &plan.then {
+        text += &format!("# then: {line}\n");
+    }
     for sentence in plan.first_stop().iter().chain(&plan.notes) {
         text += &format!("# {sentence}\n");
     }

@@ -351,6 +351,6 @@ fn an_axis_with_two_drives_is_measured_at_both_ends_of_its_beam() {
         let lines: Vec<&str> = text.lines().filter(|line| !line.starts_with('#')).collect();
         assert_eq!(lines[0], "run,x_mm,dir_x,y_mm,measured_dx_um");
         assert!(lines[1..].iter().all(|line| line.ends_with(&format!(",{mm},"))), "{text}");
-        assert!(plan.then.contains("--run pitch-x-drive1.csv --run pitch-x-drive2.csv"));
+        assert!(plan.then[0].contains("--run pitch-x-drive1.csv --run pitch-x-drive2.csv"));
     }
 }

@@ -3,15 +3,19 @@
 use std::path::Path;
 
 use anyhow::Result;
+use clap::ValueEnum as _;
 use trueup_diagnose::{Diagnosis, Gauge, Next, NoNext};
 use trueup_machine::{Machine, file::LinearAxis};
+use trueup_output::escape::shell_word;
 use trueup_program::{
     Options, Plan, Refused, Stretch, Targets, control, speeds, targets, template,
 };
 
+use super::{Diagnose, Input};
 use crate::{
+    commands,
     output::{self, FileSet},
-    program::{For, Motion},
+    program::For,
     report,
 };
 
@@ -49,16 +53,33 @@ fn shorter(diagnosis: &Diagnosis, next: &Next, gauge: Gauge) -> Option<f64> {
     (recorded.minutes < next.minutes * 2.0 / 3.0).then_some(recorded.minutes)
 }
 
-/// Writes it into the folder `out`, or says why there is none.
+/// Returns the command that diagnoses the runs before together with this one, as it can be typed.
+fn line(args: &Diagnose) -> String {
+    let Input { machine, runs, off, holdout, .. } = &args.input;
+    let word = |path: &Path| shell_word(&path.to_string_lossy()).to_string();
+    let mut line = format!("trueup diagnose --machine {}", word(machine));
+    let next = args.out.join("next.csv");
+    for (flag, paths) in [("run", runs), ("run", &vec![next]), ("off", off), ("holdout", holdout)] {
+        line.extend(paths.iter().map(|path| format!(" --{flag} {}", word(path))));
+    }
+    if let Some(quantity) = args.input.quantity.and_then(|it| it.to_possible_value()) {
+        line += &format!(" --quantity {}", quantity.get_name());
+    }
+    let mut folder = args.out.clone().into_os_string();
+    folder.push("-next");
+    line + &format!(" --out {}", word(Path::new(&folder)))
+}
+
+/// Writes it into the folder of the diagnosis, or says why there is none.
 pub fn write(
     diagnosis: &Diagnosis,
     machine: &Machine,
     control: For,
-    (motion, gauge): (&Motion, Gauge),
-    out: &Path,
+    args: &Diagnose,
     as_json: bool,
 ) -> Result<()> {
-    let options = motion.options()?;
+    let (gauge, out) = (args.gauge.gauge(), &args.out);
+    let options = args.motion.options()?;
     let next = match diagnosis.next(gauge) {
         Ok(next) => {
             if let Some(minutes) = shorter(diagnosis, &next, gauge) {
@@ -81,7 +102,7 @@ pub fn write(
         }
     };
     let planned = control.control().check(machine).and_then(|()| plan(&next, machine, &options));
-    let plan = match planned {
+    let mut plan = match planned {
         Ok(plan) => plan,
         Err(refused) => {
             report::warn(format_args!(
@@ -91,6 +112,7 @@ pub fn write(
             return Ok(());
         }
     };
+    plan.then = vec![line(args)];
     let (name, text) = control::program(&plan, control.control());
     let mut texts = vec![
         (name.clone(), text),
@@ -112,5 +134,6 @@ pub fn write(
         next.sentence(),
         out.join(name).display(),
         out.join("next.csv").display()
-    ))
+    ))?;
+    commands::print(&plan.then)
 }

@@ -74,21 +74,16 @@ pub struct Common {
 pub struct Error {
     /// The error: dx, dy or dz; may be left out where each run measures one only.
     #[arg(long, value_name = "dx|dy|dz")]
-    pub quantity: Option<String>,
-}
-
-/// Which axis.
-#[derive(Args)]
-pub struct OfAxis {
-    /// The axis: x is the same as --quantity dx.
+    quantity: Option<String>,
+    /// The axis that errs: x is the same as --quantity dx.
     #[arg(long, value_name = "x|y|z", conflicts_with = "quantity", value_parser = ["x", "y", "z"])]
-    pub axis: Option<String>,
+    axis: Option<String>,
 }
 
-impl OfAxis {
-    /// Returns the quantity of `error`, or of the axis.
-    pub fn quantity(&self, error: &Error) -> Option<String> {
-        self.axis.as_ref().map(|axis| format!("d{axis}")).or_else(|| error.quantity.clone())
+impl Error {
+    /// Returns the quantity, or that of the axis.
+    pub fn quantity(&self) -> Option<String> {
+        self.axis.as_ref().map(|axis| format!("d{axis}")).or_else(|| self.quantity.clone())
     }
 }
 
@@ -121,8 +116,6 @@ impl Curve {
 pub struct Positions {
     #[command(flatten)]
     pub error: Error,
-    #[command(flatten)]
-    pub axis: OfAxis,
     /// Only the repeats with these numbers in the column run.
     #[arg(long, value_name = "1,2,3", value_delimiter = ',')]
     pub repeats: Option<Vec<f64>>,
@@ -278,8 +271,6 @@ pub struct Thermal {
     pub common: Common,
     #[command(flatten)]
     pub error: Error,
-    #[command(flatten)]
-    pub axis: OfAxis,
     /// Which terms; left out, the machine file's, else what the run shows.
     #[arg(long)]
     pub mode: Option<Mode>,

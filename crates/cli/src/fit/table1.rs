@@ -13,8 +13,9 @@ use crate::{Outcome, origin, output};
 pub fn run(args: &args::Table1, as_json: bool) -> Result<Outcome> {
     let args::Measured { run, machine } = &args.measured;
     let input = Input::read(&args.measured)?;
+    let quantity = args.curve.error.quantity();
     let asked = Asked {
-        quantity: args.curve.error.quantity.as_deref(),
+        quantity: quantity.as_deref(),
         options: args.curve.options(),
         feed_mm_per_min: args.feed,
         cycle_ms: args.cycle_ms,

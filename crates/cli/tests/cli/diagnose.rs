@@ -142,9 +142,16 @@ fn the_next_run_is_a_program_and_a_run_file_that_is_not_written_over() {
     let next: Value = serde_json::from_str(&desk.text("d/next.json")).expect("it is JSON");
     assert!(next["told"][0]["score_gap"].as_f64().expect("a number") >= 6.0);
     let template = desk.text("d/next.csv");
+    // The line that comes next can be typed: with the runs before, into a folder of its own.
+    let then = "diagnose --machine m.toml --run first.csv --run d/next.csv --out d-next";
+    assert!(out.contains(&format!("then: trueup {then}\n")), "{out}");
+    assert!(template.contains(&format!("# then: trueup {then}\n")), "{template}");
     let head =
         "time_s,spindle_rpm,temp_front_c,temp_column_c,temp_housing_c,measured_elongation_um";
     assert!(template.lines().any(|line| line == head), "{template}");
+    let second = trial.run(&[(trueup_twin::trial::RATED_RPM, 20.0)], 2);
+    desk.write("d/next.csv", &second);
+    assert!(matches!(desk.trueup(then).status.code(), Some(0 | 3)));
     desk.write("d/next.csv", template.replacen(",,", ",20.5,", 1));
     let (_, error) = desk.said(line, 2);
     assert!(error.contains("is there already, and not empty"), "{error}");

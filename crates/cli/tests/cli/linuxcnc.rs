@@ -56,10 +56,10 @@ fn limits_that_make_no_sense_are_refused() {
     }
 }
 
-const INI: &str = "[EMCMOT]\nSERVO_PERIOD = 1000000\n[HAL]\nHALFILE = own.hal\n[TRAJ]\nCOORDINATES = X\n\
+pub const INI: &str = "[EMCMOT]\nSERVO_PERIOD = 1000000\n[HAL]\nHALFILE = own.hal\n[TRAJ]\nCOORDINATES = X\n\
     LINEAR_UNITS = mm\n[KINS]\nKINEMATICS = trivkins coordinates=X\nJOINTS = 1\n[AXIS_X]\nMAX_VELOCITY = 50\n\
     [JOINT_0]\nMAX_VELOCITY = 50\nMAX_ACCELERATION = 800\n";
-const HAL: &str = "addf motion-command-handler servo-thread\naddf motion-controller servo-thread\n\
+pub const HAL: &str = "addf motion-command-handler servo-thread\naddf motion-controller servo-thread\n\
     net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb\n";
 
 #[test]

@@ -30,6 +30,7 @@ mod simulate;
 mod streams;
 #[cfg(target_os = "linux")]
 mod terminal;
+mod tour;
 mod tutorial;
 mod units;
 mod who;

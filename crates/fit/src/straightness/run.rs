@@ -96,7 +96,7 @@ pub(super) fn error_axis(
             let names: Vec<String> =
                 several.iter().map(|axis| format!("d{}", axis.name())).collect();
             Err(whole(format!(
-                "the run measures {}: name the one to fit by --quantity",
+                "the run measures {}: choose one with --axis or --quantity",
                 names.join(", ")
             )))
         }

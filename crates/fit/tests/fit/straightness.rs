@@ -275,7 +275,7 @@ fn what_is_wrong_with_a_run_is_told_with_its_place() {
         (
             format!("x_mm,measured_dz_um,measured_dy_um\n{}", rows(&|x| format!("{x},1,2\n"))),
             None,
-            "r.csv:1:1: the run measures dy, dz: name the one to fit by --quantity",
+            "r.csv:1:1: the run measures dy, dz: choose one with --axis or --quantity",
         ),
         (
             format!("x_mm,measured_dz_um\n{}", rows(&|x| format!("{x},1\n"))),

@@ -5,6 +5,7 @@
 //! | `.b5r`, `.b20` of a ball-bar | no public description, reader or file |
 //! | `.rtx` of a laser (dynamic capture) | a public reader; it is a record over time, not over positions |
 //! | log of a probing cycle of a HEIDENHAIN (`TCHPR….TXT`) | the manual of the cycles: one feature, no readings over positions |
+//! | console of RepRapFirmware (`G30`) | its source: `Stopped at height …`, without the position |
 //! | profile of Mach3 (XML), `Machine.ini` of Mach4 | the pages of the screw mapping: first position, length, points, the error at each; how a profile keeps them is stated nowhere |
 
 use std::path::Path;
@@ -37,6 +38,10 @@ pub(crate) fn refused(bytes: &[u8], path: &Path) -> Option<BadInput> {
         Some("ini") if head.contains("screwmap") || head.contains("[motor0]") => (
             "is a profile of Mach4, and how it keeps a screw map is not published",
             "type the screw map as csv: a row `position [mm];error [µm]`, below it a line for each point; the error is actual minus commanded",
+        ),
+        _ if head.matches("stopped at height").count() > 1 => (
+            "is a console of RepRapFirmware, whose heights stand there without their positions",
+            "probe a grid with G29 and give its heightmap.csv",
         ),
         _ if stem.starts_with("tchpr") => return Some(log_of_cycle(path)),
         _ if is_xml => (

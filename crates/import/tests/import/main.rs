@@ -1,6 +1,7 @@
 //! Tables of our own making, as spreadsheets, loggers and instruments write them, read as run files.
 
 mod clocks;
+mod corpus;
 mod hostile;
 mod instruments;
 mod questions;

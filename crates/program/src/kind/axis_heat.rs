@@ -82,7 +82,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!("trueup fit thermal --run axis-heat-{}.csv", axis.name()),
+        then: vec![format!("trueup fit thermal --run axis-heat-{}.csv", axis.name())],
         is_lathe: false,
         records: Vec::new(),
     })

@@ -156,7 +156,7 @@ fn plan(machine: &Machine, travel: &Travel, room: Option<Room>, options: &Option
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!("trueup fit backlash --run backlash-{}.csv", axis.name()),
+        then: vec![format!("trueup fit backlash --run backlash-{}.csv", axis.name())],
         is_lathe: false,
         records: Vec::new(),
     }

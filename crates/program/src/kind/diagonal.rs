@@ -121,7 +121,7 @@ fn plan(machine: &Machine, pair: [&Travel; 2], options: &Options) -> Result<Plan
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!("trueup accept --off {name}-off.csv --on {name}-on.csv"),
+        then: vec![format!("trueup accept --off {name}-off.csv --on {name}-on.csv")],
         is_lathe: false,
         records: vec!["off", "on"],
         name,

@@ -57,10 +57,8 @@ fn of_each_drive(machine: &Machine, plan: Plan) -> Vec<Plan> {
             plan.precautions.insert(0, format!("{beam} stands at {mm} mm, at the {which} drive."));
             let at = plan.columns.len() - 1;
             plan.columns.insert(at, Column::Stands(across, mm));
-            plan.then = format!(
-                "trueup fit pitch --machine M.toml --run {}.csv --run {}.csv",
-                names[0], names[1]
-            );
+            plan.then =
+                vec![format!("trueup fit pitch --run {}.csv --run {}.csv", names[0], names[1])];
             plan
         })
         .collect()
@@ -79,7 +77,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!("trueup fit pitch --run pitch-{}.csv", axis.name()),
+        then: vec![format!("trueup fit pitch --run pitch-{}.csv", axis.name())],
         is_lathe: false,
         records: Vec::new(),
     })

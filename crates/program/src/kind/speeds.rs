@@ -52,7 +52,7 @@ pub fn speeds(stretches: &[Stretch], every_s: f64, inputs: &[String], why: &str)
         approach_mm_per_min: APPROACH_MM_PER_MIN,
         steps,
         columns,
-        then: "trueup diagnose with the runs before and --run next.csv".into(),
+        then: vec!["trueup diagnose --run next.csv".into()],
         is_lathe: false,
         records: Vec::new(),
     }

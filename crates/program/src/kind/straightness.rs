@@ -51,11 +51,11 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!(
-            "trueup fit straightness --run straightness-{}.csv --quantity d{}",
+        then: vec![format!(
+            "trueup fit straightness --run straightness-{}.csv --axis {}",
             axis.name(),
             others[0].name()
-        ),
+        )],
         is_lathe: false,
         records: Vec::new(),
     })

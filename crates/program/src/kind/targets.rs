@@ -133,7 +133,7 @@ pub fn targets(
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: "trueup diagnose with the runs before and --run next.csv".into(),
+        then: vec!["trueup diagnose --run next.csv".into()],
         is_lathe: machine.kind == Kind::Lathe,
         records: Vec::new(),
     })

@@ -106,9 +106,10 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
             vec![Step::Spindle(rpm), Step::Repeat { times, steps }, Step::Spindle(0.0)]
         },
         columns,
-        then: format!(
-            "trueup fit {fit} --run warmup-off.csv; then trueup accept --off warmup-off.csv --on warmup-on.csv"
-        ),
+        then: vec![
+            format!("trueup fit {fit} --run warmup-off.csv"),
+            "trueup accept --off warmup-off.csv --on warmup-on.csv".into(),
+        ],
         is_lathe: false,
         records: vec!["off", "on"],
     };

@@ -16,6 +16,14 @@ use rustix::{
 
 use crate::desk::Desk;
 
+/// What a shell of these tests prints when it waits for a command, after the exit code of the last one.
+pub const PROMPT: &str = " shop> ";
+
+/// Returns the search path of a shell: before all others a folder in which a test may put programs.
+fn path(desk: &Desk) -> String {
+    format!("{}:{}", desk.path(".bin").display(), std::env::var("PATH").unwrap_or_default())
+}
+
 /// The tool in a terminal.
 pub struct Terminal {
     child: Child,
@@ -26,7 +34,18 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    pub fn start(desk: &Desk, line: &str, (columns, rows): (u16, u16), no_colour: bool) -> Self {
+    /// Starts the tool with the words of `line`.
+    pub fn start(desk: &Desk, line: &str, size: (u16, u16), no_colour: bool) -> Self {
+        let words = [env!("CARGO_BIN_EXE_trueup")].into_iter().chain(line.split(' '));
+        Self::open(desk, &words.collect::<Vec<_>>(), size, no_colour)
+    }
+
+    /// Starts a shell in which lines are typed as a user types them; its prompt is [`PROMPT`] after the exit code.
+    pub fn shell(desk: &Desk, size: (u16, u16)) -> Self {
+        Self::open(desk, &["sh", "-i"], size, true)
+    }
+
+    fn open(desk: &Desk, program: &[&str], (columns, rows): (u16, u16), no_colour: bool) -> Self {
         let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a pseudo terminal");
         grantpt(&ours).and_then(|()| unlockpt(&ours)).expect("it is ours");
         let name = ptsname(&ours, Vec::new()).expect("it has a name");
@@ -39,9 +58,14 @@ impl Terminal {
             // Whoever started the tests may have had Ctrl-C ignored, which is inherited.
             .arg("--default-signal=INT")
             // The terminal is its own, whatever terminal the tests run in.
-            .args(["setsid", "--ctty", env!("CARGO_BIN_EXE_trueup")])
-            .args(line.split(' '))
+            .args(["setsid", "--ctty"])
+            .args(program)
             .current_dir(desk.path("."))
+            .env("PATH", path(desk))
+            .env("PS1", format!("$?{PROMPT}"))
+            // What a load replaces is kept there.
+            .env("XDG_STATE_HOME", desk.path(".state"))
+            .env_remove("ENV")
             .env("TERM", "xterm-256color")
             .env_remove("NO_COLOR")
             .stdin(theirs.try_clone().expect("a file"))
@@ -71,6 +95,21 @@ impl Terminal {
 
     pub fn text(&self) -> String {
         self.screen.lock().expect("nobody panics with it").screen().contents()
+    }
+
+    /// Returns all that was printed so far, without the codes that move the cursor.
+    pub fn printed(&self) -> String {
+        let bytes = self.bytes.lock().expect("nobody panics with it");
+        let text = String::from_utf8_lossy(&bytes).into_owned();
+        let mut parts = text.split('\u{1b}');
+        let first = parts.next().unwrap_or_default().to_owned();
+        let is_end = |c: char| c.is_ascii_alphabetic();
+        parts.fold(first, |all, part| all + part.split_once(is_end).map_or("", |(_, rest)| rest))
+    }
+
+    /// Forgets what the screen shows.
+    pub fn clear(&self) {
+        self.screen.lock().expect("nobody panics with it").process(b"\x1b[2J\x1b[H");
     }
 
     /// Until the screen shows all of these.

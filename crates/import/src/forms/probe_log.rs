@@ -1,0 +1,172 @@
+//! Logs of a probe that touches a surface point by point: the console of Klipper, of GRBL, and the file of LinuxCNC.
+//!
+//! | log | a line | source |
+//! |---|---|---|
+//! | Klipper | `probe at 10.000,20.000 is z=0.021250`, in newer versions `probe: at … bed will contact at z=…`, in mm | `klippy/extras/probe.py` |
+//! | GRBL, grblHAL, FluidNC | `[PRB:10.000,20.000,-1.492:1]`, 0 at the end: nothing was touched; mm, or inches where `$13=1`: asked | the interface page of GRBL 1.1 |
+//! | LinuxCNC | nine numbers X Y Z A B C U V W for each touch, between `(PROBEOPEN …)` and `(PROBECLOSE)`; no unit: asked | the G-code page of LinuxCNC 2.9, G38 |
+//!
+//! A surface that is touched counts as flat, as in a height map; its height counts from the first point, because the
+//! position of a probe along its own axis has no zero of its own.
+
+use std::path::Path;
+
+use trueup_machine::{BadInput, Location};
+
+use super::{known, number, source};
+use crate::{
+    answers::{Answers, Question, Refused, Topic},
+    grid::Row,
+    layout::Layout,
+    unit::rounded,
+};
+
+const NOTE: &str = "the surface counts as flat, heights from the first point: a point that is high by h is an error of −h in z";
+/// The column whose unit is that of all.
+const UNIT_OF: &str = "z";
+/// A file of LinuxCNC has that many numbers in a line.
+const OF_LINUXCNC: usize = 9;
+
+/// A touch: line and position; `None`: the probe has touched nothing.
+type Touch = (usize, Option<[f64; 3]>);
+
+pub(super) fn is_klipper(text: &str) -> bool {
+    text.lines().filter_map(of_klipper).nth(1).is_some()
+}
+
+pub(super) fn is_grbl(text: &str) -> bool {
+    text.lines().filter(|line| line.contains("[PRB:")).nth(1).is_some()
+}
+
+/// True where every line has nine numbers, and the axes that a surface leaves alone stand still.
+pub(super) fn is_linuxcnc(text: &str) -> bool {
+    let mut rows = filled(text).map(|(_, line)| nine(line));
+    let Some(Some(first)) = rows.next() else { return false };
+    let mut count = 1;
+    let are_all = rows.all(|row| {
+        count += 1;
+        row.is_some_and(|row| row[3..] == first[3..])
+    });
+    are_all && count > 1
+}
+
+fn filled(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines()
+        .enumerate()
+        .map(|(at, line)| (at + 1, line))
+        .filter(|(_, line)| !line.trim().is_empty())
+}
+
+fn nine(line: &str) -> Option<[f64; OF_LINUXCNC]> {
+    let words: Option<Vec<f64>> = line
+        .split_whitespace()
+        .map(|word| word.parse().ok().filter(|it: &f64| it.is_finite()))
+        .collect();
+    // Whole numbers alone may be any table.
+    words.filter(|_| line.contains('.')).and_then(|words| words.try_into().ok())
+}
+
+/// Returns the position of a line of Klipper's console.
+fn of_klipper(line: &str) -> Option<[f64; 3]> {
+    let (_, rest) = line.split_once("probe")?;
+    let (_, rest) = rest.split_once("at ")?;
+    let (place, height) = rest.split_once("z=")?;
+    let place = place.split_whitespace().next()?;
+    let (x, y) = place.split_once(',')?;
+    let height = height.split_whitespace().next()?;
+    Some([x.parse().ok()?, y.parse().ok()?, height.parse().ok()?])
+}
+
+/// Returns the position of a line of GRBL's; the inner `None`: nothing was touched.
+fn of_grbl(line: &str) -> Option<Option<[f64; 3]>> {
+    let (_, rest) = line.split_once("[PRB:")?;
+    let (inside, _) = rest.split_once(']')?;
+    let (place, result) = inside.split_once(':').unwrap_or((inside, "1"));
+    let axes: Option<Vec<f64>> = place.split(',').map(|it| it.trim().parse().ok()).collect();
+    let position = axes?.first_chunk().copied()?;
+    Some((result.trim() == "1").then_some(position))
+}
+
+/// Reads the console of Klipper.
+pub(super) fn klipper(text: &str, path: &Path) -> Result<Layout, Refused> {
+    let touches = text.lines().enumerate();
+    let touches = touches.filter_map(|(at, line)| Some((at + 1, Some(of_klipper(line)?))));
+    Ok(layout(&touches.collect::<Vec<_>>(), "mm", path)?)
+}
+
+/// Reads the console of GRBL.
+pub(super) fn grbl(text: &str, answers: &Answers, path: &Path) -> Result<Layout, Refused> {
+    let mut touches: Vec<Touch> = Vec::new();
+    for (at, line) in text.lines().enumerate().filter(|(_, line)| line.contains("[PRB:")) {
+        let place = Location { file: path.into(), line: at + 1, column: 1 };
+        let touch = of_grbl(line).ok_or_else(|| {
+            BadInput::new(place, "is not [PRB:x,y,z:1]").with_help("delete the line, or correct it")
+        })?;
+        touches.push((at + 1, touch));
+    }
+    let unit = unit(answers, "GRBL reports in mm, or in inches where $13=1", path)?;
+    Ok(layout(&touches, &unit, path)?)
+}
+
+/// Reads the file of LinuxCNC.
+pub(super) fn linuxcnc(text: &str, answers: &Answers, path: &Path) -> Result<Layout, Refused> {
+    let touch = |(at, line)| Some((at, Some(*nine(line)?.first_chunk()?)));
+    let touches: Vec<Touch> = filled(text).filter_map(touch).collect();
+    let unit = unit(answers, "the file of (PROBEOPEN …) states no unit", path)?;
+    Ok(layout(&touches, &unit, path)?)
+}
+
+/// Returns the unit that the user has given.
+fn unit(answers: &Answers, text: &str, path: &Path) -> Result<String, Refused> {
+    let names = [UNIT_OF, "3", "measured_dz_um"];
+    let given = answers.units.iter().find(|(column, _)| names.contains(&column.as_str()));
+    given.map(|(_, unit)| unit.clone()).ok_or_else(|| {
+        Refused::Open(vec![Question {
+            place: Location::start_of(path),
+            text: text.into(),
+            topic: Topic::Unit(UNIT_OF.into()),
+            choices: vec!["mm".into(), "inch".into()],
+            is_open: false,
+        }])
+    })
+}
+
+fn layout(touches: &[Touch], unit: &str, path: &Path) -> Result<Layout, BadInput> {
+    let there: Vec<(usize, [f64; 3])> =
+        touches.iter().filter_map(|(line, touch)| Some((*line, (*touch)?))).collect();
+    let [(first, [.., zero]), _, ..] = there[..] else {
+        return Err(BadInput::new(
+            Location::start_of(path),
+            "has fewer than two points that were touched",
+        ));
+    };
+    // A touch scatters: heights that are all the same were commanded.
+    if there.iter().all(|(_, [.., z])| *z == zero) {
+        return Err(BadInput::new(
+            Location { file: path.into(), line: first, column: 1 },
+            "has the same z at every point: it was probed in X or Y, and the side that was touched is not stated",
+        )
+        .with_help("give a csv with `target [mm];actual [mm]`, a line for each touch"));
+    }
+    let mut notes = vec![NOTE.to_string()];
+    if there.len() < touches.len() {
+        notes.push(format!(
+            "{} moves have touched nothing and are left out",
+            touches.len() - there.len()
+        ));
+    }
+    let place = Location { file: path.into(), line: first, column: 1 };
+    let row = |(line, [x, y, z]): &(usize, [f64; 3])| Row {
+        line: *line,
+        cells: vec![number(*x), number(*y), number(rounded(zero - z))],
+    };
+    Ok(Layout {
+        columns: vec![
+            source("x", known("x_mm"), unit, &place),
+            source("y", known("y_mm"), unit, &place),
+            source(UNIT_OF, known("measured_dz_um"), unit, &place),
+        ],
+        rows: there.iter().map(row).collect(),
+        notes,
+    })
+}
