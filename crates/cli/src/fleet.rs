@@ -1,6 +1,8 @@
-//! `trueup fleet`: jobs in a folder, workers, and what the results say of a series.
+//! `trueup fleet`: jobs in a folder or on a NATS server, workers, and what the results say of a series.
 
 mod job;
+mod place;
+mod server;
 
 use std::{fs, path::PathBuf, time::Duration};
 
@@ -13,8 +15,8 @@ use trueup_fleet::{
     structure,
     worker::{self, Entry, Options, Tally},
 };
-use trueup_output::escape::shell_word;
 
+use self::place::{Opened, Place};
 use crate::{
     Outcome, UserError,
     diagnose::{self, above_zero},
@@ -29,17 +31,17 @@ pub enum Command {
     Worker(Worker),
     Status(Status),
     Diagnose(Diagnose),
+    Server(server::Server),
 }
 
-/// Puts a diagnosis of one machine into the folder, for a worker.
+/// Puts a diagnosis of one machine into the folder, or on the server, for a worker.
 ///
 /// The files are copied. The same content of the same machine is one job, however often it is submitted; a job that
 /// failed is tried again.
 #[derive(Args)]
 pub struct Submit {
-    /// The folder of the fleet; made if it is not there.
-    #[arg(long, value_name = "DIR")]
-    dir: PathBuf,
+    #[command(flatten)]
+    place: Place,
     /// The machine; left out, serial of the machine file, else its name.
     #[arg(long, value_name = "SERIAL")]
     name: Option<String>,
@@ -50,15 +52,14 @@ pub struct Submit {
     input: diagnose::Input,
 }
 
-/// Does the jobs of the folder, as many at once as it has threads.
+/// Does the jobs, as many at once as it has threads.
 ///
-/// Any number of workers may share the folder. One that is killed loses nothing: its lease ends, and another worker
+/// Any number of workers may share the folder or the server. One that is killed loses nothing: its lease ends, and another worker
 /// takes the job. Exit 3 with --until-empty: a job has failed.
 #[derive(Args)]
 pub struct Worker {
-    /// The folder of the fleet.
-    #[arg(long, value_name = "DIR")]
-    dir: PathBuf,
+    #[command(flatten)]
+    place: Place,
     /// Jobs at once, each on one core.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     threads: u16,
@@ -73,19 +74,18 @@ pub struct Worker {
 /// Shows which jobs wait, run, are done and have failed.
 #[derive(Args)]
 pub struct Status {
-    /// The folder of the fleet.
-    #[arg(long, value_name = "DIR")]
-    dir: PathBuf,
+    #[command(flatten)]
+    place: Place,
 }
 
 /// Shows what the results say of the series: common constants, odd and drifting machines, the next measurement.
 ///
-/// Exit 3: a machine is unlike the others, or drifts.
+/// What is on a server is copied to OUT/copy first, the result of each job among it. Exit 3: a machine is unlike the
+/// others, or drifts.
 #[derive(Args)]
 pub struct Diagnose {
-    /// The folder of the fleet.
-    #[arg(long, value_name = "DIR")]
-    dir: PathBuf,
+    #[command(flatten)]
+    place: Place,
     /// The folder for fleet.json and report.html.
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
@@ -102,24 +102,21 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Worker(args) => work(args, as_json),
         Command::Status(args) => status(args, as_json),
         Command::Diagnose(args) => diagnose(args, as_json),
+        Command::Server(args) => server::run(args, as_json),
     }
-}
-
-/// Opens the folder of a fleet.
-fn open(dir: &std::path::Path) -> Result<Store, UserError> {
-    let rule = "is no folder of a fleet: trueup fleet submit makes it";
-    Store::open(dir).ok_or_else(|| UserError(format!("{}: {rule}", dir.display())))
 }
 
 fn submit(args: &Submit, as_json: bool) -> Result<Outcome> {
     let submission = job::submission(&args.input, args.name.as_deref(), args.date)?;
-    let store = Store::create(&args.dir)
-        .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.dir.display())))?;
-    let submitted = submission.submit(&store).context("the job cannot be written")?;
+    let submitted = match args.place.create()? {
+        Opened::Folder(store) => submission.submit(&store),
+        Opened::Server(remote) => remote.submit(&submission),
+    };
+    let submitted = submitted.context("the job cannot be submitted")?;
     if let Some(date) = &submitted.other_date {
         report::warn(format_args!(
-            "the job was submitted before with another date ({date}), which stays; to change it, remove {}",
-            store.job(&submitted.id).display()
+            "job {} was submitted before with another date ({date}), which stays",
+            submitted.id
         ));
     }
     let machine = &submission.machine;
@@ -130,26 +127,28 @@ fn submit(args: &Submit, as_json: bool) -> Result<Outcome> {
     } else {
         let state = if submitted.is_new { "waits for a worker" } else { "was there already" };
         output::print(format_args!("job {} of {machine} {state}", submitted.id))?;
-        let dir = args.dir.to_string_lossy();
         output::print(format_args!(
-            "then: trueup fleet worker --dir {} --until-empty",
-            shell_word(&dir)
+            "then: trueup fleet worker {} --until-empty",
+            args.place.words()
         ))?;
     }
     Ok(Outcome::Done)
 }
 
 fn work(args: &Worker, as_json: bool) -> Result<Outcome> {
-    let store = open(&args.dir)?;
+    let opened = args.place.open()?;
     let options = Options {
         threads: usize::from(args.threads),
         lease: Duration::from_secs_f64(args.lease_s),
         until_empty: args.until_empty,
     };
     // What is doubtful in the files was said when they were submitted.
-    let worked = report::with_warnings(false, || worker::work(&store, options, &job::diagnose));
-    let Tally { done, failed } = worked.with_context(|| args.dir.display().to_string())?;
-    let status = worker::status(&store)?;
+    let worked = report::with_warnings(false, || match &opened {
+        Opened::Folder(store) => worker::work(store, options, &job::diagnose),
+        Opened::Server(remote) => remote.work(options, &job::diagnose),
+    });
+    let Tally { done, failed } = worked.with_context(|| args.place.to_string())?;
+    let status = opened.status()?;
     if as_json {
         output::print(serde_json::json!({"done": done, "failed": failed}))?;
     } else {
@@ -167,8 +166,8 @@ fn print_failed(failed: &[Entry]) -> Result<()> {
 }
 
 fn status(args: &Status, as_json: bool) -> Result<Outcome> {
-    let store = open(&args.dir)?;
-    let status = worker::status(&store)?;
+    let opened = args.place.open()?;
+    let status = opened.status()?;
     if as_json {
         output::print(serde_json::to_string_pretty(&status)?)?;
         return Ok(Outcome::Done);
@@ -188,17 +187,29 @@ fn status(args: &Status, as_json: bool) -> Result<Outcome> {
         }
     }
     for Entry { id, machine, .. } in &status.done {
-        let report = store.result(id).join("out").join("report.html");
-        output::print(format_args!("  done {id} {machine}: {}", report.display()))?;
+        let report = match &opened {
+            Opened::Folder(store) => {
+                format!(": {}", store.result(id).join("out").join("report.html").display())
+            }
+            Opened::Server(_) => String::new(),
+        };
+        output::print(format_args!("  done {id} {machine}{report}"))?;
     }
     print_failed(&status.failed)?;
     Ok(Outcome::Done)
 }
 
 fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
-    let store = open(&args.dir)?;
+    let (store, mut notes) = match args.place.open()? {
+        Opened::Folder(store) => (store, Vec::new()),
+        Opened::Server(remote) => {
+            let store = Store::create(&args.out.join("copy"))?;
+            let damaged = remote.fetch_results(&store)?;
+            (store, damaged)
+        }
+    };
     let result::Results { whole, damaged } = result::read(&store)?;
-    let mut notes = damaged;
+    notes.extend(damaged);
     let (mut records, mut ids) = (Vec::new(), Vec::new());
     for stored in &whole {
         match job::record(&store, stored) {
@@ -212,7 +223,7 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
     notes.iter().for_each(report::warn);
     if records.is_empty() {
         let rule = "has no result: trueup fleet worker makes them";
-        return Err(UserError(format!("{}: {rule}", args.dir.display())).into());
+        return Err(UserError(format!("{}: {rule}", args.place)).into());
     }
     let asked = structure::asked(&records);
     for ((id, record), asked) in ids.iter().zip(&mut records).zip(asked) {
@@ -231,7 +242,7 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
         .iter()
         .filter_map(|it| Some((it.done.id.as_str(), it.files.get(job::DIAGNOSIS)?.as_slice())))
         .collect();
-    let html = page::html(&series, &args.dir.display().to_string(), &origin::of_read(&read));
+    let html = page::html(&series, &args.place.to_string(), &origin::of_read(&read));
     fs::create_dir_all(&args.out)
         .map_err(|error| UserError(format!("{}: cannot be made: {error}", args.out.display())))?;
     let mut set = FileSet::new(&[]);

@@ -81,6 +81,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("fleet worker", "trueup fleet worker --dir shop --threads 2 --until-empty"),
     ("fleet status", "trueup fleet status --dir shop"),
     ("fleet diagnose", "trueup fleet diagnose --dir shop --out series"),
+    ("fleet server", "trueup fleet server --dir fleet-server --listen 127.0.0.1:4222"),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
     (
         "linuxcnc check",

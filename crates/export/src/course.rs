@@ -215,7 +215,7 @@ pub(crate) fn terms_left_out(machine: &Machine, options: &Options) -> Vec<(Strin
 }
 
 /// Returns the column that a term depends on where it is none of the model's own: the tool, or a condition.
-fn column<'e>(effect: &'e Effect) -> Option<&'e str> {
+fn column(effect: &Effect) -> Option<&str> {
     effect.reads().into_iter().find_map(|input| match input {
         Input::Column(column) | Input::Lagged { column, .. } => Some(column),
         _ => None,

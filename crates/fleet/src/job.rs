@@ -212,11 +212,16 @@ impl Job {
         serde_json::from_str(&text).map_err(|error| Damage::Form(error.to_string()))
     }
 
-    /// Returns what the identifier is made of.
-    fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+    /// Returns its files.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &JobFile> {
         let files =
             [std::slice::from_ref(&self.machine_file), &self.runs, &self.off, &self.holdout];
-        let files = files.into_iter().flatten().map(|it| (it.stored.as_str(), it.crc64.as_str()));
+        files.into_iter().flatten()
+    }
+
+    /// Returns what the identifier is made of.
+    pub(crate) fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+        let files = self.files().map(|it| (it.stored.as_str(), it.crc64.as_str()));
         (&self.machine, &self.request, files.collect())
     }
 

@@ -6,6 +6,7 @@
 //! | [`job`] | what is submitted, under an identifier that follows from its content |
 //! | `lease` | which worker has a job |
 //! | [`worker`] | threads that do jobs, one result each; where the jobs stand |
+//! | [`nats`] | the same jobs on a NATS server, for workers on any computer |
 //! | [`result`] | results, compared with their checksums |
 //! | [`constants`] | constants with their errors, out of a diagnosis |
 //! | [`structure`] | one structure of the model for all machines |
@@ -23,6 +24,7 @@ pub mod constants;
 pub mod drift;
 pub mod job;
 mod lease;
+pub mod nats;
 mod next;
 pub mod odd;
 pub mod page;

@@ -35,7 +35,7 @@ use crate::{
 /// The longest pause before a worker looks for jobs again.
 const PAUSE: Duration = Duration::from_millis(500);
 /// How often a lease is renewed in its length.
-const BEATS: u32 = 4;
+pub(crate) const BEATS: u32 = 4;
 
 /// A job with the content of its files, as the worker has read it.
 #[derive(Debug)]

@@ -1,0 +1,147 @@
+//! Files between the server and a folder, both ways; each is compared with its checksum.
+
+use std::{
+    fs, io,
+    path::{Component, Path},
+};
+
+use serde::{Deserialize, Serialize};
+use tokio::io::AsyncReadExt as _;
+
+use super::{Remote, is_id};
+use crate::{job::Job, result::Done, store::Store};
+
+/// A result on the server.
+#[derive(Serialize, Deserialize)]
+struct Attempt {
+    /// Where its files are: `results/ID/ATTEMPT`.
+    attempt: String,
+    result: Done,
+}
+
+impl Remote {
+    fn send(&self, name: &str, path: &Path) -> io::Result<()> {
+        let bytes = fs::read(path)?;
+        self.wait(name, self.files.put(name, &mut bytes.as_slice())).map(|_| ())
+    }
+
+    fn fetch(&self, name: &str, path: &Path) -> io::Result<()> {
+        let bytes = self.wait(name, async {
+            let mut object = self.files.get(name).await.map_err(|error| error.to_string())?;
+            let mut bytes = Vec::new();
+            object.read_to_end(&mut bytes).await.map_err(|error| error.to_string())?;
+            Ok::<_, String>(bytes)
+        })?;
+        fs::write(path, bytes)
+    }
+
+    /// Sends the files of a job.
+    pub(super) fn send_job(&self, store: &Store, id: &str, job: &Job) -> io::Result<()> {
+        let folder = store.job(id);
+        job.files().try_for_each(|file| {
+            self.send(&format!("jobs/{id}/{}", file.stored), &folder.join(&file.stored))
+        })
+    }
+
+    /// Fetches a job into a folder.
+    pub(super) fn fetch_job(&self, store: &Store, id: &str) -> io::Result<()> {
+        let text = self.text(&self.jobs, id)?;
+        let text = text.ok_or_else(|| damaged("the job is not on the server"))?;
+        let job: Job = serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
+        let staged = store.staging(&format!("job-{id}-"))?;
+        fs::write(staged.path().join("job.json"), &text)?;
+        for file in job.files() {
+            let name = plain(&file.stored)?;
+            self.fetch(&format!("jobs/{id}/{name}"), &staged.path().join(name))?;
+        }
+        store.publish(staged, &store.job(id)).map(|_| ())
+    }
+
+    /// Sends the result of a job, unless it has one. Returns whether it was the first.
+    pub(super) fn send_result(&self, store: &Store, id: &str, attempt: &str) -> io::Result<bool> {
+        let folder = store.result(id);
+        let result: Done = serde_json::from_str(&fs::read_to_string(folder.join("result.json"))?)?;
+        let object = |name: &str| format!("results/{id}/{attempt}/{name}");
+        for file in &result.files {
+            self.send(&object(&file.name), &folder.join("out").join(&file.name))?;
+        }
+        let names: Vec<String> = result.files.iter().map(|file| object(&file.name)).collect();
+        let text = serde_json::to_string(&Attempt { attempt: attempt.into(), result })?;
+        let is_first = self.is_first(&self.results, id, text)?;
+        if !is_first {
+            names.iter().try_for_each(|name| self.wait(name, self.files.delete(name)))?;
+        }
+        Ok(is_first)
+    }
+
+    fn fetch_result(&self, store: &Store, id: &str) -> io::Result<()> {
+        let Some(text) = self.text(&self.results, id)? else { return Ok(()) };
+        let of: Attempt =
+            serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
+        let staged = store.staging(&format!("result-{id}-"))?;
+        let out = staged.path().join("out");
+        fs::create_dir(&out)?;
+        for file in &of.result.files {
+            let name = plain(&file.name)?;
+            self.fetch(&format!("results/{id}/{}/{name}", of.attempt), &out.join(name))?;
+        }
+        let text = serde_json::to_string_pretty(&of.result)? + "\n";
+        fs::write(staged.path().join("result.json"), text)?;
+        store.publish(staged, &store.result(id)).map(|_| ())
+    }
+
+    /// Fetches every job that has a result, with it, into a folder: `fleet diagnose` reads it there. Returns a sentence
+    /// for each that cannot be had.
+    ///
+    /// # Errors
+    /// The server does not answer, or the folder cannot be written.
+    pub fn fetch_results(&self, store: &Store) -> io::Result<Vec<String>> {
+        let mut damaged = Vec::new();
+        for id in self.keys(&self.results)? {
+            // Neither a job nor its result ever changes.
+            if store.result(&id).exists() {
+                continue;
+            }
+            let fetched = self.fetch_job(store, &id).and_then(|()| self.fetch_result(store, &id));
+            match fetched {
+                Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+                    damaged.push(format!("results/{id}: {error}"));
+                }
+                other => other?,
+            }
+        }
+        Ok(damaged)
+    }
+}
+
+fn damaged(why: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, why)
+}
+
+/// Returns a name that leads nowhere but into the folder.
+fn plain(name: &str) -> io::Result<&str> {
+    let mut parts = Path::new(name).components();
+    let is_plain = matches!((parts.next(), parts.next()), (Some(Component::Normal(_)), None));
+    let is_plain = is_plain && !name.contains(['/', '\\']);
+    is_plain.then_some(name).ok_or_else(|| damaged(&format!("{name:?} is no name of a file")))
+}
+
+/// Returns the identifier in a subject of the queue.
+pub(super) fn id_of(subject: &str) -> Option<&str> {
+    subject.rsplit('.').next().filter(|id| is_id(id))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_leads_out_of_the_folder() {
+        for name in ["", ".", "..", "../x", "/x", "a/b", "a\\b"] {
+            assert!(plain(name).is_err(), "{name}");
+        }
+        assert_eq!(plain("run-1.csv").expect("a name"), "run-1.csv");
+        assert_eq!(id_of("trueup.queue.0123456789abcdef"), Some("0123456789abcdef"));
+        assert_eq!(id_of("trueup.queue.*"), None);
+    }
+}

@@ -1,0 +1,198 @@
+//! The fleet on a NATS server with JetStream, for workers on any computer.
+//!
+//! | on the server | holds |
+//! |---|---|
+//! | key-value bucket `trueup-jobs` | ID → `job.json` |
+//! | object store `trueup-files` | `jobs/ID/FILE`, `results/ID/ATTEMPT/FILE` |
+//! | stream `trueup-queue`, subject `trueup.queue.ID` | jobs that have not ended, each once; removed when a worker acknowledges |
+//! | key-value bucket `trueup-results` | ID → `result.json` and which attempt it is of; the first one stays |
+//! | key-value bucket `trueup-failed` | ID → why the job cannot be done |
+//! | key-value bucket `trueup-leases` | ID → the worker that has it; ends by itself |
+//!
+//! A worker fetches a job into a folder of its own and does it there as [`crate::worker`] does: the result is the same,
+//! to the byte. A message that is not acknowledged within the length of a lease goes to another worker, so a worker
+//! that is killed loses nothing. What was acknowledged is on the server's disk where it synchronises always, as the
+//! server of [`server`] does.
+
+mod files;
+pub mod server;
+mod status;
+mod submit;
+mod worker;
+
+use std::{fmt, io, path::PathBuf, time::Duration};
+
+use async_nats::{
+    ConnectOptions,
+    jetstream::{
+        self, Context,
+        kv::{self, CreateErrorKind},
+        object_store::{self, ObjectStore},
+        stream::{self, DiscardPolicy, RetentionPolicy, Stream},
+    },
+};
+use tokio::runtime::{Builder, Runtime};
+
+const QUEUE: &str = "trueup-queue";
+const SUBJECT: &str = "trueup.queue";
+const FILES: &str = "trueup-files";
+/// How long a worker that says nothing is shown as the one that has a job.
+const SHOWN: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How a server is reached.
+#[derive(Clone, Debug, Default)]
+pub struct Access {
+    /// Its address, `nats://127.0.0.1:4222`, or `tls://…`.
+    pub url: String,
+    /// Name and password.
+    pub login: Option<(String, String)>,
+    /// The certificate of the authority that the server's certificate is of, in PEM; none: those of the system.
+    pub authority: Option<PathBuf>,
+}
+
+/// A fleet on a server.
+pub struct Remote {
+    runtime: Runtime,
+    url: String,
+    context: Context,
+    queue: Stream,
+    files: ObjectStore,
+    jobs: kv::Store,
+    results: kv::Store,
+    failed: kv::Store,
+    leases: kv::Store,
+}
+
+impl Remote {
+    /// Connects, and makes what the fleet needs on the server.
+    ///
+    /// # Errors
+    /// The server cannot be reached, refuses the login, or has no JetStream.
+    pub fn create(access: &Access) -> io::Result<Self> {
+        Self::connect(access, true)
+    }
+
+    /// Connects to a server on which a job was submitted.
+    ///
+    /// # Errors
+    /// The server cannot be reached or refuses the login, or there is no fleet on it.
+    pub fn open(access: &Access) -> io::Result<Self> {
+        Self::connect(access, false)
+    }
+
+    fn connect(access: &Access, creates: bool) -> io::Result<Self> {
+        // One thread answers the server while the others compute.
+        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let url = &access.url;
+        let made = runtime.block_on(async {
+            let context = context(access).await?;
+            let lacks = |what: &str, error: &dyn fmt::Display| {
+                let why = format!("{url}: {what}: {error}; trueup fleet submit makes it on a server with JetStream");
+                io::Error::new(io::ErrorKind::NotFound, why)
+            };
+            let queue = match creates {
+                true => context.get_or_create_stream(queue()).await.map_err(|it| lacks("no queue", &it))?,
+                false => context.get_stream(QUEUE).await.map_err(|it| lacks("no queue", &it))?,
+            };
+            let files = match context.get_object_store(FILES).await {
+                Err(_) if creates => {
+                    let config = object_store::Config { bucket: FILES.into(), ..Default::default() };
+                    context.create_object_store(config).await.map_err(|it| lacks("no store of files", &it))?
+                }
+                got => got.map_err(|it| lacks("no store of files", &it))?,
+            };
+            let mut buckets = Vec::new();
+            for (name, max_age) in [("jobs", None), ("results", None), ("failed", None), ("leases", Some(SHOWN))] {
+                let bucket = format!("trueup-{name}");
+                let max_age = max_age.unwrap_or_default();
+                let store = match context.get_key_value(&bucket).await {
+                    Err(_) if creates => {
+                        let config = kv::Config { bucket, max_age, ..Default::default() };
+                        context.create_key_value(config).await.map_err(|it| lacks(name, &it))?
+                    }
+                    got => got.map_err(|it| lacks(name, &it))?,
+                };
+                buckets.push(store);
+            }
+            let buckets = <[kv::Store; 4]>::try_from(buckets).map_err(|_| io::Error::other("four buckets"))?;
+            Ok::<_, io::Error>((context, queue, files, buckets))
+        });
+        let (context, queue, files, [jobs, results, failed, leases]) = made?;
+        Ok(Self { runtime, url: url.clone(), context, queue, files, jobs, results, failed, leases })
+    }
+
+    /// Waits for an answer of the server.
+    fn wait<T, E: fmt::Display>(
+        &self,
+        what: &str,
+        answer: impl Future<Output = Result<T, E>>,
+    ) -> io::Result<T> {
+        let answer = self.runtime.block_on(answer);
+        answer.map_err(|error| io::Error::other(format!("{}: {what}: {error}", self.url)))
+    }
+
+    fn text(&self, bucket: &kv::Store, id: &str) -> io::Result<Option<String>> {
+        let value = self.wait(id, bucket.get(id))?;
+        let text = value.map(|it| String::from_utf8(it.to_vec()));
+        text.transpose().map_err(|_| io::Error::other(format!("{}: {id}: is no text", self.url)))
+    }
+
+    /// Writes a key that is not there yet. Returns whether it was not.
+    fn is_first(&self, bucket: &kv::Store, id: &str, text: String) -> io::Result<bool> {
+        match self.runtime.block_on(bucket.create(id, text.into())) {
+            Ok(_) => Ok(true),
+            Err(error) if error.kind() == CreateErrorKind::AlreadyExists => Ok(false),
+            Err(error) => Err(io::Error::other(format!("{}: {id}: {error}", self.url))),
+        }
+    }
+
+    /// Returns the keys of a bucket, sorted.
+    fn keys(&self, bucket: &kv::Store) -> io::Result<Vec<String>> {
+        use futures_util::TryStreamExt as _;
+        let mut keys: Vec<String> = self.wait("keys", async {
+            let keys = bucket.keys().await.map_err(|error| error.to_string())?;
+            keys.try_collect().await.map_err(|error| error.to_string())
+        })?;
+        // Only what is an identifier becomes a name of a file.
+        keys.retain(|key| is_id(key));
+        keys.sort();
+        Ok(keys)
+    }
+}
+
+/// Returns whether it is an identifier of a job, which may be a name of a folder.
+fn is_id(key: &str) -> bool {
+    key.len() == 16 && key.bytes().all(|it| it.is_ascii_hexdigit())
+}
+
+async fn context(access: &Access) -> io::Result<Context> {
+    let mut options = ConnectOptions::new().name("trueup fleet").connection_timeout(TIMEOUT);
+    if let Some((user, password)) = &access.login {
+        options = options.user_and_password(user.clone(), password.clone());
+    }
+    if let Some(file) = &access.authority {
+        options = options.add_root_certificates(file.clone());
+    }
+    let client = options.connect(&access.url).await.map_err(|error| {
+        let why = format!(
+            "{}: no server answers: {error}; trueup fleet server --dir DIR starts one",
+            access.url
+        );
+        io::Error::new(io::ErrorKind::ConnectionRefused, why)
+    })?;
+    Ok(jetstream::ContextBuilder::new().timeout(TIMEOUT).build(client))
+}
+
+/// Each job at most once, until a worker has acknowledged it.
+fn queue() -> stream::Config {
+    stream::Config {
+        name: QUEUE.into(),
+        subjects: vec![format!("{SUBJECT}.*")],
+        retention: RetentionPolicy::WorkQueue,
+        max_messages_per_subject: 1,
+        discard: DiscardPolicy::New,
+        discard_new_per_subject: true,
+        ..Default::default()
+    }
+}

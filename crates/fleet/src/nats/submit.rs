@@ -1,0 +1,73 @@
+//! A job that is put on the server.
+
+use std::{io, time::Duration};
+
+use super::{Remote, SUBJECT};
+use crate::{
+    job::{Job, Submission, Submitted},
+    store::Store,
+};
+
+impl Remote {
+    /// Puts a job on the server. A job that failed before is tried again. Once this has returned, the job is on the
+    /// server's disk.
+    ///
+    /// # Errors
+    /// The server does not answer, or has another job under this identifier.
+    pub fn submit(&self, submission: &Submission) -> io::Result<Submitted> {
+        let folder = tempfile::tempdir()?;
+        let store = Store::create(folder.path())?;
+        let id = submission.submit(&store)?.id;
+        let job = Job::read(&store, &id).map_err(io::Error::other)?;
+        let there = self.text(&self.jobs, &id)?;
+        let is_new = there.is_none() && {
+            self.send_job(&store, &id, &job)?;
+            let text = serde_json::to_string_pretty(&job)? + "\n";
+            self.is_first(&self.jobs, &id, text)?
+        };
+        let mut other_date = None;
+        if let Some(there) = there {
+            let there: Job = serde_json::from_str(&there)?;
+            if there.content() != job.content() {
+                let why = format!("{}: {id} is another job", self.url);
+                return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
+            }
+            let is_other = job.date.is_some() && job.date != there.date;
+            other_date = is_other.then(|| there.date.unwrap_or_else(|| "none".into()));
+        }
+        if self.text(&self.failed, &id)?.is_some() {
+            self.wait(&id, self.failed.purge(&id))?;
+        }
+        if self.text(&self.results, &id)?.is_none() {
+            self.queue(&id)?;
+        }
+        Ok(Submitted { id, is_new, other_date })
+    }
+
+    /// Puts a job into the queue, unless it is there.
+    fn queue(&self, id: &str) -> io::Result<()> {
+        let subject = format!("{SUBJECT}.{id}");
+        let sent = self.runtime.block_on(async {
+            let sent = self.context.publish(subject.clone(), "".into()).await;
+            match sent {
+                Ok(stored) => stored.await.map(|_| ()),
+                Err(error) => Err(error),
+            }
+        });
+        let Err(error) = sent else { return Ok(()) };
+        // The queue takes each job once.
+        let is_there = self.runtime.block_on(self.queue.get_last_raw_message_by_subject(&subject));
+        is_there.map(|_| ()).map_err(|_| io::Error::other(format!("{}: {error}", self.url)))
+    }
+
+    /// Returns how many jobs have not ended.
+    pub(super) fn open_jobs(&self) -> io::Result<u64> {
+        let info = self.wait("the queue", self.queue.get_info())?;
+        Ok(info.state.messages)
+    }
+
+    /// Waits before something is tried again.
+    pub(super) fn pause(&self, time: Duration) {
+        self.runtime.block_on(tokio::time::sleep(time));
+    }
+}

@@ -1,0 +1,192 @@
+//! Workers on a server: each takes a job, does it in a folder of its own, and acknowledges it once its result is there.
+
+use std::{
+    fs, io,
+    sync::{
+        Mutex, PoisonError,
+        mpsc::{RecvTimeoutError, channel},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use async_nats::jetstream::{
+    AckKind, Message,
+    consumer::{AckPolicy, PullConsumer, pull},
+};
+use futures_util::StreamExt as _;
+use serde_json::json;
+
+use super::{Remote, files::id_of};
+use crate::{
+    store::Store,
+    worker::{self, BEATS, Diagnose, Options, Tally},
+};
+
+const CONSUMER: &str = "workers";
+/// How long one question for a job waits.
+const ASKED: Duration = Duration::from_secs(1);
+/// How long a server may be away before workers that are to end give up.
+const AWAY: Duration = Duration::from_secs(60);
+
+impl Remote {
+    /// Works until every job has ended, or for ever. A server that goes away is waited for.
+    ///
+    /// # Errors
+    /// The diagnosis says that this worker cannot go on; or the server is away for a minute and the workers are to end.
+    pub fn work(&self, options: Options, diagnose: &Diagnose<'_>) -> io::Result<Tally> {
+        let config = pull::Config {
+            durable_name: Some(CONSUMER.into()),
+            ack_policy: AckPolicy::Explicit,
+            ack_wait: options.lease,
+            ..Default::default()
+        };
+        let consumer = self.wait("the queue", self.queue.create_consumer(config))?;
+        let team = Team { remote: self, consumer, options, diagnose, tally: Mutex::default() };
+        let errors: Vec<io::Error> = thread::scope(|scope| {
+            let threads: Vec<_> =
+                (0..options.threads.max(1)).map(|_| scope.spawn(|| team.run())).collect();
+            let ended = threads.into_iter().map(|it| match it.join() {
+                Ok(ended) => ended,
+                Err(_) => Err(io::Error::other("a thread of the worker has panicked")),
+            });
+            ended.filter_map(Result::err).collect()
+        });
+        match errors.into_iter().next() {
+            Some(error) => Err(error),
+            None => Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner)),
+        }
+    }
+}
+
+/// The threads of one process.
+struct Team<'t> {
+    remote: &'t Remote,
+    consumer: PullConsumer,
+    options: Options,
+    diagnose: &'t Diagnose<'t>,
+    tally: Mutex<Tally>,
+}
+
+/// Why a job was not ended.
+enum Broken {
+    /// The server did not answer: it is tried again.
+    Server(io::Error),
+    /// This worker cannot go on.
+    Worker(io::Error),
+}
+
+impl Team<'_> {
+    fn run(&self) -> io::Result<()> {
+        let mut answered = Instant::now();
+        loop {
+            let broken = match self.next() {
+                Ok(Some(message)) => self.process(&message),
+                Ok(None) => match self.remote.open_jobs() {
+                    Ok(0) if self.options.until_empty => return Ok(()),
+                    other => other.map(|_| ()).map_err(Broken::Server),
+                },
+                Err(error) => Err(Broken::Server(error)),
+            };
+            match broken {
+                Ok(()) => answered = Instant::now(),
+                Err(Broken::Worker(error)) => return Err(error),
+                Err(Broken::Server(error))
+                    if self.options.until_empty && answered.elapsed() > AWAY =>
+                {
+                    return Err(error);
+                }
+                Err(Broken::Server(_)) => self.remote.pause(ASKED),
+            }
+        }
+    }
+
+    /// Takes the next job that waits.
+    fn next(&self) -> io::Result<Option<Message>> {
+        let asked = self.consumer.fetch().max_messages(1).expires(ASKED);
+        // All of it within the runtime: its end tells the server so.
+        self.remote.wait("the queue", async {
+            let mut messages = asked.messages().await.map_err(|error| error.to_string())?;
+            messages.next().await.transpose().map_err(|error| error.to_string())
+        })
+    }
+
+    fn process(&self, message: &Message) -> Result<(), Broken> {
+        let Some(id) = id_of(&message.subject) else {
+            // Nobody who follows this form has put it there.
+            return self.acknowledge(message);
+        };
+        let remote = self.remote;
+        let has = |bucket| remote.text(bucket, id).map(|it| it.is_some()).map_err(Broken::Server);
+        if has(&remote.results)? || has(&remote.failed)? {
+            return self.acknowledge(message);
+        }
+        let (ended, end) = channel::<()>();
+        thread::scope(|scope| {
+            scope.spawn(move || {
+                self.say_so(message, id);
+                while end.recv_timeout(self.options.lease / BEATS) == Err(RecvTimeoutError::Timeout)
+                {
+                    self.say_so(message, id);
+                }
+            });
+            let done = self.attempt(message, id);
+            drop(ended);
+            done
+        })
+    }
+
+    /// Says that a worker has the job still. What is not heard has no harm: the job is done again.
+    fn say_so(&self, message: &Message, id: &str) {
+        let taken = message.info().map_or(1, |info| info.delivered);
+        let runtime = &self.remote.runtime;
+        let _ = runtime.block_on(message.ack_with(AckKind::Progress));
+        let _ = runtime.block_on(self.remote.leases.put(id, taken.to_string().into()));
+    }
+
+    fn attempt(&self, message: &Message, id: &str) -> Result<(), Broken> {
+        let remote = self.remote;
+        let folder = tempfile::tempdir().map_err(Broken::Worker)?;
+        let store = Store::create(folder.path()).map_err(Broken::Worker)?;
+        let failed = |reason: String| json!({"schema": 1, "id": id, "reason": reason}).to_string();
+        let failure = match remote.fetch_job(&store, id) {
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+                Some(failed(error.to_string()))
+            }
+            Err(error) => return Err(Broken::Server(error)),
+            Ok(()) => {
+                let alone = Options { threads: 1, until_empty: true, ..self.options };
+                let done = worker::work(&store, alone, self.diagnose);
+                done.map_err(|error| {
+                    let _ = remote.runtime.block_on(message.ack_with(AckKind::Nak(None)));
+                    Broken::Worker(error)
+                })?;
+                fs::read_to_string(store.failed(id)).ok()
+            }
+        };
+        let is_failed = failure.is_some();
+        let is_first = match failure {
+            Some(text) => remote.is_first(&remote.failed, id, text),
+            None => remote.send_result(&store, id, &attempt_of(message)),
+        };
+        if is_first.map_err(Broken::Server)? {
+            let mut tally = self.tally.lock().unwrap_or_else(PoisonError::into_inner);
+            if is_failed { tally.failed += 1 } else { tally.done += 1 }
+        }
+        self.acknowledge(message)?;
+        let _ = remote.runtime.block_on(remote.leases.purge(id));
+        Ok(())
+    }
+
+    /// Removes a job from the queue, and waits until the server says so.
+    fn acknowledge(&self, message: &Message) -> Result<(), Broken> {
+        self.remote.wait("the queue", message.double_ack()).map_err(Broken::Server)
+    }
+}
+
+/// Returns a name that no other attempt at any job has.
+fn attempt_of(message: &Message) -> String {
+    message
+        .info()
+        .map_or_else(|_| "0".into(), |info| format!("{}-{}", info.stream_sequence, info.delivered))
+}
