@@ -116,6 +116,12 @@ impl Acceptance {
     pub fn html(&self, name: &str, origin: &Origin, next: &[String]) -> String {
         page::html(self, name, origin, next)
     }
+
+    /// Returns the error in both runs as a picture that stands alone, SVG.
+    #[must_use]
+    pub fn picture(&self) -> String {
+        page::chart(self).standalone()
+    }
 }
 
 /// Compares the run `off`, recorded without compensation, with `on`, recorded with it. `believed`: the

@@ -4,6 +4,22 @@ use trueup_page::{Chart, Colour, Origin, Page, Series, Table, micrometres, time_
 
 use crate::{Acceptance, advice::digits};
 
+/// Returns the error in both runs.
+pub(crate) fn chart(it: &Acceptance) -> Chart {
+    let (unit, divisor) = unit_of(it);
+    let points =
+        |um: &[f64]| it.pair.at.iter().zip(um).map(|(at, um)| [at / divisor, *um]).collect();
+    Chart {
+        title: "The error in both runs".into(),
+        x: unit,
+        y: format!("{}, µm", it.quantity),
+        series: vec![
+            Series::dots("without", Colour::Before, points(&it.pair.off_um)),
+            Series::dots("with compensation", Colour::After, points(&it.pair.on_um)),
+        ],
+    }
+}
+
 pub(crate) fn html(it: &Acceptance, name: &str, origin: &Origin, next: &[String]) -> String {
     let mut page = Page::new(&format!("Acceptance of {name}"));
     let mut sentences = it.unmet.clone();
@@ -27,18 +43,7 @@ pub(crate) fn html(it: &Acceptance, name: &str, origin: &Origin, next: &[String]
         ),
     ]);
     let (unit, divisor) = unit_of(it);
-    let points =
-        |um: &[f64]| it.pair.at.iter().zip(um).map(|(at, um)| [at / divisor, *um]).collect();
-    let chart = Chart {
-        title: "The error in both runs".into(),
-        x: unit.clone(),
-        y: format!("{}, µm", it.quantity),
-        series: vec![
-            Series::dots("without", Colour::Before, points(&it.pair.off_um)),
-            Series::dots("with compensation", Colour::After, points(&it.pair.on_um)),
-        ],
-    };
-    page.pictures(&[chart.figure()]);
+    page.pictures(&[chart(it).figure()]);
     if !it.advice.changes.is_empty() {
         page.heading("Constants to change");
         let mut table = Table::new(&["constant", "from", "to", "95 %"]);

@@ -44,6 +44,9 @@ pub struct Accept {
     /// The folder for acceptance.json, report.html and, where a constant is to be changed, adjusted.toml.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Also write the picture of both runs alone, as SVG.
+    #[arg(long, value_name = "FILE.svg")]
+    picture: Option<PathBuf>,
 }
 
 fn percent(text: &str) -> Result<f64, String> {
@@ -96,6 +99,9 @@ fn write(args: &Accept, acceptance: &Acceptance, name: &str) -> Result<()> {
     }
     for (file, text) in texts {
         set.text(&args.out.join(file), &text)?;
+    }
+    if let Some(picture) = &args.picture {
+        set.text(picture, &acceptance.picture())?;
     }
     set.commit()
 }

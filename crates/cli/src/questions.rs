@@ -164,9 +164,7 @@ fn one(
 ) -> Result<bool> {
     match question {
         Question::Name => {
-            let name = template.name.clone();
-            let checked = |text: &str| check_name(text).map(|()| text.to_string());
-            let Answer::Given(name) = needed("Name of the machine", &name, checked)? else {
+            let Answer::Given(name) = ask_name(&template.name, check_name)? else {
                 return Ok(false);
             };
             template.name = name;
@@ -258,6 +256,14 @@ fn one(
         }
     }
     Ok(true)
+}
+
+/// Asks for the name of the machine.
+fn ask_name(
+    usual: &str,
+    check_name: &dyn Fn(&str) -> Result<(), String>,
+) -> Result<Answer<String>> {
+    needed("Name of the machine", &usual, |text| check_name(text).map(|()| text.to_string()))
 }
 
 /// Asks for one thermometer after the other; `<` takes back the last one, and then the question.

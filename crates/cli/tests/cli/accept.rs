@@ -119,3 +119,30 @@ fn labels_of_tools_are_the_numbers_of_the_machine_file() {
     }
     assert_eq!(answers[0], answers[1]);
 }
+
+/// The picture of the README is the one that the command beneath it makes.
+#[test]
+fn the_picture_of_both_runs_is_the_one_of_the_readme() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let readme = fs::read_to_string(root.join("README.md")).expect("the project's own");
+    let command = readme.split("`trueup ").find(|it| it.contains("--picture docs/acceptance.svg"));
+    let command = command.and_then(|it| it.split('`').next()).expect("it stands there");
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = folder.path().join("p.svg").display().to_string();
+    let line = command.replace("docs/acceptance.svg", &picture).replace('\n', " ");
+    let out = folder.path().join("acceptance").display().to_string();
+    let words =
+        line.split_whitespace().map(|it| if it == "acceptance" { out.as_str() } else { it });
+    let output = Command::new(env!("CARGO_BIN_EXE_trueup"))
+        .current_dir(&root)
+        .args(words)
+        .output()
+        .expect("it starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let drawn = fs::read_to_string(&picture).expect("written");
+    let shown = fs::read_to_string(root.join("docs/acceptance.svg")).expect("the project's own");
+    assert!(
+        drawn == shown && drawn.contains("with compensation"),
+        "draw it anew: trueup {command}"
+    );
+}
