@@ -101,7 +101,7 @@ fn labels_of_tools_are_the_numbers_of_the_machine_file() {
         "m.toml",
         "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle.tools]\nprobe = { number = 7, um_per_krpm2 = 0.0 }\n\
          default = { um_per_krpm2 = 0.0 }\n[[term]]\ncause = \"dependence\"\nquantity = \"elongation\"\n\
-         column = \"tool\"\nform = \"level\"\nlevels = [7.0]\nlevel_um = [10.0]\nlevel_default = 0.0\n",
+         column = \"tool\"\nform = \"level\"\nlevels = [1.0, 7.0]\nlevel_um = [0.0, 10.0]\nlevel_default = 0.0\n",
     );
     // The tool is 10 µm longer than without the term, and the bridge has taken off four fifths of it.
     let run = |um: f64, tool: &str| {

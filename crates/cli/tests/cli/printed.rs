@@ -26,6 +26,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("linuxcnc status", "needs a LinuxCNC that runs: host-tests"),
     ("linuxcnc --port", "is a component of LinuxCNC: host-tests"),
     ("doctor", "what this computer has"),
+    ("fleet server", "runs until Ctrl-C: fleet_nats.rs"),
     ("firmware ", "the tool of the tests carries no images: install.rs"),
     ("import ", "needs a table of the user's: import.rs"),
 ];
@@ -43,6 +44,9 @@ const OF_READER: &[(&str, &str)] = &[
 
 /// Returns why a command is not run here.
 fn elsewhere(command: &str) -> Option<&'static str> {
+    if command.contains(" --nats ") {
+        return Some("needs a NATS server: fleet_nats.rs");
+    }
     let line = format!("{command}\n");
     ELSEWHERE.iter().find(|(begin, _)| line.starts_with(begin)).map(|(_, why)| *why)
 }
