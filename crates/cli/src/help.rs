@@ -118,6 +118,10 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bridge save", "trueup bridge save board.json --port /dev/ttyUSB0"),
     ("bridge pending", "trueup bridge pending --port /dev/ttyUSB0"),
     ("bridge restore", "trueup bridge restore board.json --port /dev/ttyUSB0"),
+    (
+        "serve",
+        "trueup serve --port /dev/ttyUSB0 --name mill-7 --spool spool --mqtt mqtt://127.0.0.1:1883",
+    ),
     ("learn", "trueup learn --machine mill/mill.toml --run mill/warmup-off.csv -o learned.toml"),
     (
         "trust",
@@ -153,7 +157,7 @@ const GROUPS: &[(&str, &[&str])] = &[
             "virtual",
         ],
     ),
-    ("Watch", &["learn", "trust", "trend"]),
+    ("Watch", &["learn", "trust", "trend", "serve"]),
     ("This tool", &["doctor", "examples", "schema", "firmware", "sign", "completions", "man"]),
 ];
 /// The heading of a command that is in no group.

@@ -45,6 +45,7 @@ mod questions;
 mod report;
 mod runs;
 mod schema;
+mod serve;
 mod show;
 mod sign;
 mod simulate;
@@ -134,6 +135,7 @@ enum Command {
     New(new::New),
     Program(program::Program),
     Schema(schema::Schema),
+    Serve(Box<serve::Serve>),
     Sign(sign::Sign),
     Simulate(simulate::Simulate),
     Trend(trend::Trend),
@@ -258,6 +260,7 @@ fn run(cli: &Cli) -> Result<Outcome> {
         Command::Program(args) => program::run(args, cli.json),
         Command::New(args) => new::run(args, cli.json),
         Command::Schema(args) => schema::run(args),
+        Command::Serve(args) => serve::run(args),
         Command::Sign(args) => sign::run(args),
         Command::Simulate(args) => simulate::run(args, cli.json),
         Command::Trend(args) => trend::run(args, cli.json),

@@ -73,10 +73,16 @@ impl Board {
         Some(status.item)
     }
 
+    /// Returns what is wrong with the board, in words.
+    #[must_use]
+    pub fn faults(&self) -> Vec<&'static str> {
+        fault_words(Faults::from_words(self.faults.into(), 0))
+    }
+
     /// Returns what is wrong with the board and what a CNC must know of it, in words.
     #[must_use]
     pub fn words(&self) -> Vec<&'static str> {
-        let mut words = fault_words(Faults::from_words(self.faults.into(), 0));
+        let mut words = self.faults();
         words.extend(state_words(self.state));
         words
     }

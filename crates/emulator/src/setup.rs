@@ -273,6 +273,24 @@ pub fn mbpoll() -> Result<PathBuf> {
     process::find(PROGRAM).context("mbpoll is installed but not on PATH")
 }
 
+/// Returns the path of `mosquitto`, an MQTT broker, for the tests of what is published.
+///
+/// # Errors
+/// It is missing and cannot be installed.
+pub fn mosquitto() -> Result<PathBuf> {
+    const PROGRAM: &str = "mosquitto";
+    // Debian has it where only the administrator's PATH leads.
+    let place = || {
+        let other = PathBuf::from("/usr/sbin").join(PROGRAM);
+        process::find(PROGRAM).or_else(|| other.is_file().then_some(other))
+    };
+    let _alone = alone()?;
+    if place().is_none() {
+        install(&[PROGRAM], "mosquitto, an MQTT broker")?;
+    }
+    place().context("mosquitto is installed but not on PATH")
+}
+
 /// What the quick tests need: all but LinuxCNC, which is large.
 ///
 /// # Errors
@@ -283,6 +301,7 @@ pub fn quick() -> Result<()> {
     python()?;
     log2asc()?;
     mbpoll()?;
+    mosquitto()?;
     Ok(())
 }
 

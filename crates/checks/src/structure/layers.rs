@@ -26,7 +26,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("analysis", &["fit", "diagnose", "learn", "compare", "accept", "page"]),
     (
         "tool",
-        &["cli", "client", "screen", "program", "export", "import", "linuxcnc", "gateway", "fleet"],
+        &["cli", "client", "screen", "program", "export", "import", "linuxcnc", "gateway", "fleet", "serve"],
     ),
     (
         "bench",

@@ -34,7 +34,7 @@ fn run(more_um: f64) -> String {
 }
 
 /// A line of each command. `PORT` is a bridge, and `NONE` a port where nothing listens.
-const LINES: [&str; 41] = [
+const LINES: [&str; 42] = [
     "--help",
     "no-such-command",
     "accept --off run.csv --on small.csv --out o-accept",
@@ -70,6 +70,7 @@ const LINES: [&str; 41] = [
     "predict --machine m.toml --run bad.csv -o o.csv",
     "program warmup --machine m.toml --rpm 1000 --for siemens --out o-program",
     "schema",
+    "serve --port PORT --name n --spool o-spool --mtconnect 127.0.0.1:0 --once",
     "show cal.bin",
     "sign --new o-key.pem",
     "simulate --scenario s.toml --seed 1 -o -",

@@ -1,0 +1,146 @@
+//! `trueup serve`: what a bridge does, published. What it does is in `trueup-serve`.
+
+use std::{
+    fs,
+    net::{SocketAddr, ToSocketAddrs as _},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use trueup_client::port::Port;
+use trueup_serve::{
+    broker::{Broker, Files},
+    run::{self, Options},
+};
+
+use crate::{Outcome, UserError, output};
+
+/// Publishes a bridge's state to MQTT as Sparkplug B and to MTConnect, and its records to MQTT without loss, until
+/// Ctrl-C.
+///
+/// It only reads the bridge. Records and events are on the disk before they count, and stay until the broker has
+/// them. Topics, data items and what a broker must be set to: the book, "Publish a bridge". Exit 3 with --once: the
+/// bridge or the broker is not there.
+#[derive(Args)]
+pub struct Serve {
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or a CAN interface (can0). Several bridges are devices of
+    /// one edge node.
+    #[arg(long = "port", value_name = "PORT", required = true)]
+    ports: Vec<String>,
+    /// The name of the edge node in the group trueup.
+    #[arg(long, value_name = "NAME", value_parser = node_name)]
+    name: String,
+    /// The folder of the spool: of one publisher alone.
+    #[arg(long, value_name = "DIR")]
+    spool: PathBuf,
+    /// Records that it has at most, in MB; the oldest give way.
+    #[arg(long, value_name = "MB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(4..=1_000_000))]
+    spool_mb: u32,
+    /// From one recorded row to the next, in s; the state is published once a second in any case.
+    #[arg(long, value_name = "S", default_value_t = 1.0, value_parser = row_s)]
+    record_s: f64,
+    /// The broker: mqtt://HOST:PORT, or mqtts://HOST:PORT with TLS.
+    #[arg(long, value_name = "URL", required_unless_present = "mtconnect")]
+    mqtt: Option<String>,
+    /// The user that the broker knows.
+    #[arg(long, value_name = "USER", requires = "mqtt", requires = "password_file")]
+    user: Option<String>,
+    /// A file with the password in its first line.
+    #[arg(long, value_name = "FILE", requires = "user")]
+    password_file: Option<PathBuf>,
+    /// The certificates by which the broker is trusted, in PEM. Without this: those of the system.
+    #[arg(long, value_name = "PEM", requires = "mqtt")]
+    ca: Option<PathBuf>,
+    /// The certificate by which the broker knows this publisher, in PEM.
+    #[arg(long, value_name = "PEM", requires = "mqtt", requires = "key")]
+    cert: Option<PathBuf>,
+    /// The key of that certificate, in PEM.
+    #[arg(long, value_name = "PEM", requires = "cert")]
+    key: Option<PathBuf>,
+    /// Publishes only while this host application is online.
+    #[arg(long, value_name = "HOST", requires = "mqtt", value_parser = node_name)]
+    primary_host: Option<String>,
+    /// Where agents of MTConnect connect. Only this computer's reach it unless you name another address.
+    #[arg(long, value_name = "ADDR:PORT")]
+    mtconnect: Option<String>,
+    /// Where the description for the agent is written. Without this: Devices.xml in the spool's folder.
+    #[arg(long, value_name = "FILE", requires = "mtconnect")]
+    devices: Option<PathBuf>,
+    /// Try once whether all ends are there, say what was done, and end.
+    #[arg(long)]
+    once: bool,
+}
+
+/// Parses a name that is a level of a topic.
+fn node_name(text: &str) -> Result<String, String> {
+    let is_sound = |c: char| c.is_alphanumeric() || "-_. ".contains(c);
+    if text.is_empty() || text.len() > 64 || !text.chars().all(is_sound) {
+        return Err("has 1 to 64 letters, digits, -, _, . or spaces".into());
+    }
+    Ok(text.into())
+}
+
+/// Parses the time from one row to the next.
+fn row_s(text: &str) -> Result<f64, String> {
+    let seconds = text.parse().ok().filter(|it| (0.1..=3_600.0).contains(it));
+    seconds.ok_or_else(|| "has 0.1 to 3600 s".into())
+}
+
+/// Publishes a bridge.
+pub fn run(args: &Serve) -> Result<Outcome> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    let options = options(args)?;
+    trueup_output::detach();
+    let done = run::run(options, stop, |text| trueup_output::diagnostic(text))?;
+    output::print(&done.counts)?;
+    Ok(if done.is_whole || !args.once { Outcome::Done } else { Outcome::NotMet })
+}
+
+fn options(args: &Serve) -> Result<Options> {
+    let ports: Result<Vec<Port>, _> = args.ports.iter().map(|it| Port::parse(it)).collect();
+    let broker = args.mqtt.as_deref().map(|url| broker(args, url)).transpose()?;
+    let mtconnect = args.mtconnect.as_deref().map(resolve).transpose()?.unwrap_or_default();
+    Ok(Options {
+        ports: ports?,
+        name: args.name.clone(),
+        spool: args.spool.clone(),
+        spool_bytes: u64::from(args.spool_mb) << 20,
+        row: Duration::from_secs_f64(args.record_s),
+        broker,
+        primary_host: args.primary_host.clone(),
+        mtconnect,
+        devices: args.devices.clone(),
+        once: args.once,
+        version: env!("CARGO_PKG_VERSION"),
+    })
+}
+
+fn broker(args: &Serve, url: &str) -> Result<Broker> {
+    let login = match (&args.user, &args.password_file) {
+        (Some(user), Some(path)) => Some((user.clone(), password(path)?)),
+        _ => None,
+    };
+    let own = args.cert.as_deref().zip(args.key.as_deref());
+    let files = Files { ca: args.ca.as_deref(), own };
+    Ok(Broker::new(url, login, files).map_err(|error| UserError(format!("{error:#}")))?)
+}
+
+fn password(path: &Path) -> Result<String, UserError> {
+    let place = path.display();
+    let text = fs::read_to_string(path).map_err(|error| UserError(format!("{place}: {error}")))?;
+    let first = text.lines().next().filter(|it| !it.is_empty());
+    first.map(str::to_owned).ok_or_else(|| UserError(format!("{place}: its first line is empty")))
+}
+
+fn resolve(listen: &str) -> Result<Vec<SocketAddr>, UserError> {
+    let wrong = |why: String| UserError(format!("--mtconnect \"{listen}\": {why}; ADDR:PORT"));
+    Ok(listen.to_socket_addrs().map_err(|error| wrong(error.to_string()))?.collect())
+}

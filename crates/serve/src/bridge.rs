@@ -1,0 +1,190 @@
+//! What a bridge says, put together: frames come in, a [`Snapshot`] comes out, and now and then a question to the
+//! bridge who it is. Nothing is written to the bridge.
+
+use std::time::{Duration, Instant};
+
+use trueup_client::{
+    cnc::Cnc,
+    line::LineEvent,
+    object::{self, At},
+    poll::{Heard, Poll},
+    status::Board,
+    words::{flag_words, offset_um},
+};
+use trueup_core::cnc::{Output, Quality};
+use trueup_link::{
+    frame::Frame,
+    frames::{self, State as NodeState},
+    receiver::OffsetReceiver,
+    slcan::Event,
+    status::Item,
+};
+use trueup_output::escape::one_line;
+
+use crate::snapshot::{Identity, Snapshot};
+
+/// Offsets older than this are not of now: a thousand cycles.
+const STALE: Duration = Duration::from_secs(1);
+/// Each item of the status comes every 1.5 s; three missed, and all of it counts as unknown.
+const STATUS_LASTS: Duration = Duration::from_millis(4_600);
+/// What was answered is asked for again after this: a bridge may be exchanged while the line stays.
+const AGAIN: Duration = Duration::from_secs(600);
+/// What is asked for, in this order, one after the other.
+const QUESTIONS: [At; 3] = [object::SERIAL_NUMBER, object::MACHINE_NAME, object::SOFTWARE];
+/// Maximum length of a name, in bytes.
+const MAX_NAME: usize = 64;
+
+/// A bridge, as far as it is known.
+pub struct Bridge {
+    start: Instant,
+    board: Board,
+    offsets: OffsetReceiver,
+    lost_before: u32,
+    output: Option<(Output, Instant)>,
+    status_at: Option<Instant>,
+    cnc: Cnc,
+    is_open: bool,
+    why: Option<String>,
+    identity: Identity,
+    polls: [Poll; QUESTIONS.len()],
+    starts: u32,
+}
+
+impl Bridge {
+    /// Returns a bridge that has said nothing yet.
+    #[must_use]
+    pub fn new(now: Instant) -> Self {
+        Self {
+            start: now,
+            board: Board::default(),
+            offsets: OffsetReceiver::new(),
+            lost_before: 0,
+            output: None,
+            status_at: None,
+            cnc: Cnc::default(),
+            is_open: false,
+            why: None,
+            identity: Identity::default(),
+            polls: QUESTIONS.map(|at| Poll::new(at, AGAIN, now)),
+            starts: 0,
+        }
+    }
+
+    /// Takes what happened on the line, and returns what is to be sent, if anything.
+    pub fn receive(&mut self, event: LineEvent, now: Instant) -> Option<Frame> {
+        match event {
+            LineEvent::Up => {
+                self.is_open = true;
+                self.ask_again(now);
+            }
+            LineEvent::Down(why) => {
+                self.lost_before = self.lost_frames();
+                self.is_open = false;
+                self.why = Some(why);
+                self.board = Board::default();
+                self.offsets = OffsetReceiver::new();
+                (self.output, self.status_at) = (None, None);
+            }
+            LineEvent::Received(Event::Frame(frame)) => return self.frame(&frame, now),
+            LineEvent::Received(_) | LineEvent::Late => {}
+        }
+        None
+    }
+
+    fn frame(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
+        if let Ok(Some(output)) = self.offsets.accept(frame) {
+            self.output = Some((output, now));
+            return None;
+        }
+        // The state comes last of all that is waited for after a start.
+        if let Some(Item::State(_)) = self.board.hear(frame) {
+            self.status_at = Some(now);
+        }
+        let ms = now.saturating_duration_since(self.start).as_millis();
+        self.cnc.hear(frame, u64::try_from(ms).unwrap_or(u64::MAX));
+        if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
+            self.starts = self.starts.saturating_add(1);
+            self.ask_again(now);
+        }
+        self.answer(frame, now)
+    }
+
+    /// Returns the next part of an answer's question.
+    fn answer(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
+        let running = self.polls.iter().position(Poll::is_running)?;
+        match self.polls[running].hear(frame, now) {
+            Heard::Ask(request) => Some(request),
+            Heard::Bytes(bytes) => {
+                let text = || {
+                    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME)]);
+                    Some(one_line(text.trim_end_matches('\0'))).filter(|it| !it.is_empty())
+                };
+                match running {
+                    0 => {
+                        self.identity.serial = bytes.first_chunk().copied().map(u32::from_le_bytes)
+                    }
+                    1 => self.identity.machine = text(),
+                    _ => self.identity.firmware = text(),
+                }
+                None
+            }
+            Heard::Refused | Heard::Nothing => None,
+        }
+    }
+
+    fn ask_again(&mut self, now: Instant) {
+        self.polls = QUESTIONS.map(|at| Poll::new(at, AGAIN, now));
+    }
+
+    /// Returns the question that is due, if any; one at a time.
+    pub fn due(&mut self, now: Instant) -> Option<Frame> {
+        if !self.is_open {
+            return None;
+        }
+        for poll in &mut self.polls {
+            if let Some(request) = poll.due(now) {
+                return Some(request);
+            }
+            if poll.is_running() {
+                return None;
+            }
+        }
+        None
+    }
+
+    fn lost_frames(&self) -> u32 {
+        self.lost_before.saturating_add(self.offsets.counters().lost)
+    }
+
+    /// Returns what is known now.
+    #[must_use]
+    pub fn snapshot(&self, now: Instant) -> Snapshot {
+        let is_fresh = |at: Instant, lasts| now.saturating_duration_since(at) <= lasts;
+        let output = self.output.as_ref().filter(|(_, at)| self.is_open && is_fresh(*at, STALE));
+        let mut snapshot = Snapshot {
+            is_up: output.is_some(),
+            why: self.why.clone(),
+            identity: self.identity.clone(),
+            lost_frames: self.lost_frames(),
+            starts: self.starts,
+            ..Snapshot::default()
+        };
+        let Some((output, _)) = output else { return snapshot };
+        snapshot.quality = Some(output.quality);
+        snapshot.flags = flag_words(output.flags);
+        if output.quality != Quality::Fault {
+            snapshot.offset_um = offset_um(output).map_or([None; 3], |it| it.map(Some));
+        }
+        let ms = now.saturating_duration_since(self.start).as_millis();
+        snapshot.position_mm = self.cnc.position_mm(u64::try_from(ms).unwrap_or(u64::MAX));
+        if self.status_at.is_some_and(|at| is_fresh(at, STATUS_LASTS)) {
+            let celsius = |centi_c: i16| f64::from(centi_c) / 100.0;
+            snapshot.temperature_c = self.board.centi_c.map(|it| it.map(celsius));
+            snapshot.elongation_um = self.board.elongation_um();
+            snapshot.faults = self.board.faults();
+            snapshot.state = trueup_client::words::state_words(self.board.state);
+            snapshot.calibration = self.board.calibration;
+        }
+        snapshot
+    }
+}

@@ -1,0 +1,104 @@
+//! The names, units and values of what is published of a bridge: one list for Sparkplug and the recorded rows.
+//!
+//! The order is part of what is published: the alias of a metric is its place.
+
+use trueup_client::words::quality_word;
+use trueup_core::dimensions::CHANNELS;
+
+use crate::snapshot::Snapshot;
+
+/// A value, and of which kind it is even where there is none.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Value {
+    /// With a unit.
+    Number(Option<f64>),
+    /// A count that only rises, until the publisher ends.
+    Count(u64),
+    /// Words are separated by spaces.
+    Text(Option<String>),
+    /// Yes or no.
+    Flag(bool),
+}
+
+/// A named value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Metric {
+    /// Its name.
+    pub name: &'static str,
+    /// Its unit; empty where it has none.
+    pub unit: &'static str,
+    /// Its value.
+    pub value: Value,
+}
+
+/// Words that may change with every offset.
+pub const FLAGS: &str = "Bridge/Flags";
+const OFFSETS: [&str; 3] = ["Offset/X", "Offset/Y", "Offset/Z"];
+const POSITIONS: [&str; 3] = ["Position/X", "Position/Y", "Position/Z"];
+const TEMPERATURES: [&str; CHANNELS] = [
+    "Temperature/0",
+    "Temperature/1",
+    "Temperature/2",
+    "Temperature/3",
+    "Temperature/4",
+    "Temperature/5",
+    "Temperature/6",
+    "Temperature/7",
+];
+
+/// Returns all metrics of a bridge.
+#[must_use]
+pub fn metrics(of: &Snapshot) -> Vec<Metric> {
+    let text = |name, text: Option<String>| Metric { name, unit: "", value: Value::Text(text) };
+    let words = |name, words: &[&str]| text(name, of.is_up.then(|| words.join(" ")));
+    let numbers = |names: &'static [&'static str], unit, values: &[Option<f64>]| {
+        let both = names.iter().zip(values);
+        both.map(|(name, value)| Metric { name, unit, value: Value::Number(*value) })
+            .collect::<Vec<_>>()
+    };
+    let count = |name, count: u32| Metric { name, unit: "", value: Value::Count(count.into()) };
+    let mut all = vec![Metric { name: "Bridge/Up", unit: "", value: Value::Flag(of.is_up) }];
+    all.push(text("Bridge/Quality", of.quality.map(|it| quality_word(it).to_owned())));
+    all.push(words(FLAGS, &of.flags));
+    all.push(words("Bridge/Faults", &of.faults));
+    all.push(words("Bridge/State", &of.state));
+    all.extend(numbers(&OFFSETS, "µm", &of.offset_um));
+    all.extend(numbers(&["Elongation"], "µm", &[of.elongation_um]));
+    all.extend(numbers(&TEMPERATURES, "°C", &of.temperature_c));
+    all.extend(numbers(&POSITIONS, "mm", &of.position_mm));
+    let crc = of.calibration.filter(|crc| *crc != 0);
+    all.push(text("Calibration/CRC", crc.map(|crc| format!("{crc:08x}"))));
+    all.push(text("Calibration/Machine", of.identity.machine.clone()));
+    all.push(text("Properties/Firmware", of.identity.firmware.clone()));
+    all.push(count("Bridge/Lost frames", of.lost_frames));
+    all.push(count("Bridge/Starts", of.starts));
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trueup_core::cnc::Quality;
+
+    #[test]
+    fn the_list_is_the_same_whatever_is_known() {
+        let known = Snapshot {
+            is_up: true,
+            quality: Some(Quality::Live),
+            offset_um: [Some(1.5), None, Some(-2.0)],
+            calibration: Some(0xAB),
+            ..Snapshot::default()
+        };
+        let (known, unknown) = (metrics(&known), metrics(&Snapshot::default()));
+        let names = |all: &[Metric]| all.iter().map(|it| it.name).collect::<Vec<_>>();
+        assert_eq!(names(&known), names(&unknown));
+        let mut different = names(&known);
+        different.sort_unstable();
+        different.dedup();
+        assert_eq!(different.len(), known.len(), "each name once");
+        let of = |name| known.iter().find(|it| it.name == name).map(|it| it.value.clone());
+        assert_eq!(of("Offset/X"), Some(Value::Number(Some(1.5))));
+        assert_eq!(of("Calibration/CRC"), Some(Value::Text(Some("000000ab".into()))));
+        assert_eq!(of("Bridge/Faults"), Some(Value::Text(Some(String::new()))));
+    }
+}

@@ -1,0 +1,291 @@
+//! The connection to the broker: state at most once, records at least once, births and deaths by the rules of Sparkplug.
+//!
+//! A connection that breaks is given up with all that was on its way. The next one has a new number, a new will and
+//! an empty session, and begins with the births; records that were not acknowledged, or not long ago, go out again
+//! with the same identifiers. So no state of the client library has to survive a connection.
+
+mod connection;
+mod host;
+
+use std::{
+    collections::{HashMap, VecDeque},
+    hash::{BuildHasher as _, RandomState},
+    sync::atomic::Ordering,
+    thread,
+    time::{Duration, Instant},
+};
+
+use rumqttc::{Publish, QoS};
+
+use self::{
+    connection::{Connection, Happened},
+    host::PrimaryHost,
+};
+use crate::{
+    broker::Broker,
+    clock,
+    shared::Shared,
+    sparkplug::{
+        self,
+        node::{Node, Own},
+    },
+};
+
+/// From one publication of values that have changed to the next.
+const PERIOD: Duration = Duration::from_secs(1);
+/// The same where a word has changed: a fault, a quality, a calibration.
+const PERIOD_OF_WORDS: Duration = Duration::from_millis(100);
+/// From one look at what is to be sent to the next.
+const TURN: Duration = Duration::from_millis(20);
+/// Records that wait for their acknowledgement at most.
+const MAX_OPEN: usize = 64;
+/// A host may ask for all births so often.
+const REBIRTH_PERIOD: Duration = Duration::from_millis(500);
+/// Births that are known again when they come back.
+const MAX_BIRTHS: usize = 4_096;
+/// How long the last messages may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// The first and the longest pause before the next try.
+const PAUSES: [Duration; 2] = [Duration::from_millis(250), Duration::from_secs(1)];
+/// A connection that lasted so long was a good one: the pauses begin anew.
+const GOOD: Duration = Duration::from_secs(10);
+
+/// Who publishes.
+pub struct Publisher {
+    /// The broker.
+    pub broker: Broker,
+    /// The name of the edge node.
+    pub name: String,
+    /// What distinguishes this publisher from every other one.
+    pub id: String,
+    /// The host application without which nothing is published.
+    pub primary_host: Option<String>,
+    /// Keeps the number of the last connection.
+    pub keep_bd_seq: Box<dyn Fn(u8) + Send>,
+    /// Reports something to people.
+    pub report: Box<dyn Fn(&str) + Send>,
+}
+
+/// Publishes until the end.
+pub fn run(shared: &Shared, publisher: &Publisher, node: &mut Node) {
+    let mut pause = PAUSES[0];
+    let mut reported = None;
+    while !shared.has_ended() {
+        let began = Instant::now();
+        let why = connected(shared, publisher, node, &mut reported);
+        shared.counts().is_online.store(false, Ordering::Relaxed);
+        shared.spool().rewind();
+        if shared.has_ended() {
+            return;
+        }
+        if reported.as_ref() != Some(&why) {
+            (publisher.report)(&format!("the broker is not connected: {why}; it is tried again"));
+            reported = Some(why);
+        }
+        pause = if began.elapsed() > GOOD { PAUSES[0] } else { PAUSES[1].min(2 * pause) };
+        let until = Instant::now() + pause;
+        while Instant::now() < until && !shared.has_ended() {
+            thread::sleep(TURN);
+        }
+    }
+}
+
+/// One connection; returns why it ended.
+fn connected(
+    shared: &Shared,
+    publisher: &Publisher,
+    node: &mut Node,
+    reported: &mut Option<String>,
+) -> String {
+    (publisher.keep_bd_seq)(node.begin_connection());
+    let will = node.death(clock::now_ms());
+    let mut connection = Connection::open(&publisher.broker, &publisher.id, &will);
+    let mut link = Link {
+        shared,
+        publisher,
+        host: publisher.primary_host.as_ref().map(|_| PrimaryHost::new()),
+        open: HashMap::new(),
+        is_born: false,
+        wants_birth: false,
+        born_at: None,
+        published_at: Instant::now(),
+        looked_at: Instant::now(),
+        sent: VecDeque::new(),
+        hasher: RandomState::new(),
+        others: Vec::new(),
+    };
+    loop {
+        for happened in connection.wait(TURN) {
+            match happened {
+                Happened::Accepted => {
+                    link.subscribe(&connection);
+                    link.wants_birth = link.host.is_none();
+                    if reported.take().is_some() {
+                        (publisher.report)("the broker is connected again");
+                    }
+                }
+                Happened::Sent { id, number } => drop(link.open.insert(id, number)),
+                Happened::Acknowledged(id) => link.acknowledged(id),
+                Happened::Came(message) => link.take(&message),
+                Happened::Ended(why) => return why,
+            }
+        }
+        let is_lost = link.host.as_ref().is_some_and(|it| !it.is_online()) && link.is_born;
+        if is_lost || shared.has_ended() {
+            let death = node.death(clock::now_ms());
+            connection.publish(&death.topic, death.payload, false);
+            connection.end(FAREWELL);
+            return "the primary host application is offline".into();
+        }
+        link.publish(&mut connection, node);
+    }
+}
+
+/// A connection that the broker has accepted.
+struct Link<'a> {
+    shared: &'a Shared,
+    publisher: &'a Publisher,
+    host: Option<PrimaryHost>,
+    /// The numbers of the records that are on their way, by their packet identifier.
+    open: HashMap<u16, u64>,
+    is_born: bool,
+    wants_birth: bool,
+    born_at: Option<Instant>,
+    published_at: Instant,
+    looked_at: Instant,
+    /// Hashes of the last births of this connection, which come back as everybody's do.
+    sent: VecDeque<u64>,
+    hasher: RandomState,
+    /// Topics on which another publisher was reported.
+    others: Vec<String>,
+}
+
+impl Link<'_> {
+    fn subscribe(&self, connection: &Connection) {
+        let name = &self.publisher.name;
+        connection.subscribe(&sparkplug::topic("NCMD", name, None), QoS::AtLeastOnce);
+        connection.subscribe(&sparkplug::topic("NBIRTH", name, None), QoS::AtMostOnce);
+        for bridge in self.shared.snapshots() {
+            if let Some(serial) = bridge.identity.serial {
+                let device = sparkplug::device_id(serial);
+                let topic = sparkplug::topic("DBIRTH", "+", Some(&device));
+                connection.subscribe(&topic, QoS::AtMostOnce);
+            }
+        }
+        if let Some(host) = &self.publisher.primary_host {
+            connection.subscribe(&sparkplug::state_topic(host), QoS::AtLeastOnce);
+        }
+    }
+
+    fn acknowledged(&mut self, id: u16) {
+        if let Some(number) = self.open.remove(&id) {
+            self.shared.spool().acknowledge(number, Instant::now());
+            self.shared.counts().acknowledged.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Takes what others have published. Whoever can publish can publish anything.
+    fn take(&mut self, message: &Publish) {
+        let topic = message.topic.as_str();
+        let is_state =
+            self.publisher.primary_host.as_deref().map(sparkplug::state_topic).as_deref()
+                == Some(topic);
+        if is_state && let Some(host) = &mut self.host {
+            let is_state = host.take(&message.payload).is_some();
+            self.wants_birth |= host.is_online() && !self.is_born;
+            if !is_state {
+                self.hostile(topic);
+            }
+        } else if topic == sparkplug::topic("NCMD", &self.publisher.name, None) {
+            match sparkplug::asks_rebirth(&message.payload) {
+                Some(asks) => self.wants_birth |= asks && self.is_born,
+                None => self.hostile(topic),
+            }
+        } else if topic.contains("BIRTH/") {
+            self.take_birth(topic, &message.payload);
+        }
+    }
+
+    fn take_birth(&mut self, topic: &str, payload: &[u8]) {
+        let is_own = self.sent.contains(&self.hasher.hash_one((topic, payload)));
+        if is_own || self.others.iter().any(|it| it == topic) {
+            return;
+        }
+        self.others.push(topic.to_owned());
+        (self.publisher.report)(&format!(
+            "warning: another publisher publishes as {topic}: hosts see both in turn; give each \
+             edge node a --name of its own, and each bridge one publisher"
+        ));
+    }
+
+    fn hostile(&self, topic: &str) {
+        if self.shared.counts().hostile.fetch_add(1, Ordering::Relaxed) == 0 {
+            (self.publisher.report)(&format!(
+                "warning: a message on {topic} is no payload of Sparkplug; it is ignored, and \
+                 counted from now on"
+            ));
+        }
+    }
+
+    /// Publishes what is due.
+    fn publish(&mut self, connection: &mut Connection, node: &mut Node) {
+        let now = Instant::now();
+        let may_be_born = self.born_at.is_none_or(|at| now - at >= REBIRTH_PERIOD);
+        if self.wants_birth && may_be_born {
+            let messages = node.rebirth(self.own(), &self.shared.snapshots(), clock::now_ms());
+            (self.is_born, self.wants_birth, self.born_at) = (true, false, Some(now));
+            (self.published_at, self.looked_at) = (now, now);
+            self.send(connection, messages);
+            self.shared.counts().is_online.store(true, Ordering::Relaxed);
+        } else if self.is_born && now - self.looked_at >= PERIOD_OF_WORDS {
+            self.looked_at = now;
+            let bridges = self.shared.snapshots();
+            let is_due = now - self.published_at >= PERIOD;
+            if is_due || node.has_other_words(&bridges) {
+                self.published_at = now;
+                let messages = node.update(self.own(), &bridges, clock::now_ms());
+                self.send(connection, messages);
+            }
+            if is_due {
+                self.shared.spool().settle(now);
+            }
+        }
+        while self.is_born && self.open.len() + connection.waiting() < MAX_OPEN {
+            let Some(record) = self.shared.spool().next_to_send() else { break };
+            let number = record.number;
+            if !connection.publish_record(record) {
+                self.shared.spool().put_back(number);
+                break;
+            }
+        }
+    }
+
+    fn send(&mut self, connection: &mut Connection, messages: Vec<sparkplug::node::Message>) {
+        for message in messages {
+            if message.topic.contains("BIRTH/") {
+                let hash = (message.topic.as_str(), message.payload.as_slice());
+                self.sent.push_back(self.hasher.hash_one(hash));
+                if self.sent.len() > MAX_BIRTHS {
+                    self.sent.pop_front();
+                }
+                if message.topic.contains("DBIRTH/")
+                    && let Some((_, device)) = message.topic.rsplit_once('/')
+                {
+                    let all = sparkplug::topic("DBIRTH", "+", Some(device));
+                    connection.subscribe(&all, QoS::AtMostOnce);
+                }
+            }
+            connection.publish(&message.topic, message.payload, message.is_retained);
+        }
+    }
+
+    fn own(&self) -> Own {
+        let counts = self.shared.counts();
+        let lost = counts.lost.load(Ordering::Relaxed);
+        Own {
+            recorded: counts.recorded.load(Ordering::Relaxed),
+            waiting: self.shared.spool().waiting() as u64,
+            lost: lost + counts.not_recorded.load(Ordering::Relaxed),
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! What the threads of a publisher share: the bridge, the spool, the counts, and the sign to stop.
+
+use std::{
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use trueup_client::{ends::Ends, line::Line};
+
+use crate::{bridge::Bridge, snapshot::Snapshot, spool::Spool};
+
+/// From one look at the line to the next. What comes between them is taken together.
+const TURN: Duration = Duration::from_millis(5);
+
+/// One for all threads.
+#[derive(Clone)]
+pub struct Shared(Arc<Inner>);
+
+struct Inner {
+    /// A lock each: the thread of a line waits for no other bridge.
+    bridges: Vec<Mutex<Bridge>>,
+    spool: Mutex<Spool>,
+    counts: Counts,
+    stop: Arc<AtomicBool>,
+}
+
+/// What was done since the publisher began.
+#[derive(Default)]
+pub struct Counts {
+    /// Rows and events on the disk.
+    pub recorded: AtomicU64,
+    /// Those that the disk took not.
+    pub not_recorded: AtomicU64,
+    /// Those that the broker has acknowledged.
+    pub acknowledged: AtomicU64,
+    /// Those that were damaged or gave way.
+    pub lost: AtomicU64,
+    /// Messages that are no payload, or too large.
+    pub hostile: AtomicU64,
+    /// The broker has the births; else it is not connected.
+    pub is_online: AtomicBool,
+}
+
+impl Shared {
+    /// Returns what is shared. Everything ends when `stop` is set.
+    #[must_use]
+    pub fn new(bridges: Vec<Bridge>, spool: Spool, stop: Arc<AtomicBool>) -> Self {
+        let (counts, bridges) = (Counts::default(), bridges.into_iter().map(Mutex::new).collect());
+        Self(Arc::new(Inner { bridges, spool: Mutex::new(spool), counts, stop }))
+    }
+
+    /// Returns the bridge of this place, for a moment. A thread that has panicked with it leaves it as it was.
+    #[must_use]
+    pub fn bridge(&self, place: usize) -> Option<MutexGuard<'_, Bridge>> {
+        let bridge = self.0.bridges.get(place)?;
+        Some(bridge.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Returns what is known of the bridges now.
+    #[must_use]
+    pub fn snapshots(&self) -> Vec<Snapshot> {
+        let now = Instant::now();
+        (0..).map_while(|place| self.bridge(place)).map(|it| it.snapshot(now)).collect()
+    }
+
+    /// Returns the spool, for a moment.
+    pub fn spool(&self) -> MutexGuard<'_, Spool> {
+        self.0.spool.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the counts.
+    #[must_use]
+    pub fn counts(&self) -> &Counts {
+        &self.0.counts
+    }
+
+    /// Returns whether it is time to end.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.0.stop.load(Ordering::Relaxed)
+    }
+}
+
+/// Keeps a line to the bridge of this place, in a thread of its own that waits neither for a disk nor for a network,
+/// until the end.
+pub fn keep(
+    shared: Shared,
+    place: usize,
+    open: impl FnMut() -> std::io::Result<Ends> + Send + 'static,
+) -> JoinHandle<()> {
+    thread::spawn(move || {
+        let line = Line::keep(open);
+        while !shared.has_ended() {
+            let now = Instant::now();
+            let mut to_send = Vec::new();
+            if let Some(mut bridge) = shared.bridge(place) {
+                to_send.extend(line.heard().filter_map(|event| bridge.receive(event, now)));
+                to_send.extend(bridge.due(now));
+            }
+            to_send.into_iter().for_each(|frame| line.send(frame));
+            thread::sleep(TURN);
+        }
+    })
+}

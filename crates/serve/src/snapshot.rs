@@ -1,0 +1,159 @@
+//! What is published of a bridge at one moment, and what has happened from one moment to the next.
+
+use trueup_client::words::quality_word;
+use trueup_core::{cnc::Quality, dimensions::CHANNELS};
+
+/// Who the bridge is, as far as it has answered.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Identity {
+    /// The serial number of its board.
+    pub serial: Option<u32>,
+    /// The name of the machine that its calibration is for.
+    pub machine: Option<String>,
+    /// The version of its firmware.
+    pub firmware: Option<String>,
+}
+
+/// What is known of a bridge; without a line nothing is.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Valid offsets come from it.
+    pub is_up: bool,
+    /// Why the line was last lost.
+    pub why: Option<String>,
+    /// Who it is; this outlives the line.
+    pub identity: Identity,
+    /// The newest offsets of X, Y and Z in µm.
+    pub offset_um: [Option<f64>; 3],
+    /// How good they are.
+    pub quality: Option<Quality>,
+    /// Why they are not simply the full correction.
+    pub flags: Vec<&'static str>,
+    /// By channel.
+    pub temperature_c: [Option<f64>; CHANNELS],
+    /// Of the spindle, by its sensor.
+    pub elongation_um: Option<f64>,
+    /// The commanded positions of X, Y and Z, where the CNC is on this line.
+    pub position_mm: [Option<f64>; 3],
+    /// What is wrong with the board.
+    pub faults: Vec<&'static str>,
+    /// What a CNC must know of it.
+    pub state: Vec<&'static str>,
+    /// The CRC of the calibration that it runs on; 0: it has none.
+    pub calibration: Option<u32>,
+    /// Frames of offsets that were expected and never came.
+    pub lost_frames: u32,
+    /// How often it has said that it starts.
+    pub starts: u32,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Event {
+    /// Which kind, for programs.
+    pub code: &'static str,
+    /// What it is about: the word of a fault, a quality, a CRC.
+    pub about: String,
+}
+
+impl Event {
+    /// Returns an event.
+    #[must_use]
+    pub fn new(code: &'static str, about: impl Into<String>) -> Self {
+        Self { code, about: about.into() }
+    }
+}
+
+/// Returns what has happened between two moments, in the order in which it is best read.
+#[must_use]
+pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
+    let mut events = Vec::new();
+    match (before.is_up, now.is_up) {
+        (true, false) => {
+            events.push(Event::new("bridge-down", now.why.clone().unwrap_or_default()));
+            // What was known of it is unknown now; it has not changed.
+            return events;
+        }
+        (false, true) => events.push(Event::new("bridge-up", "")),
+        (false, false) => return events,
+        (true, true) => {}
+    }
+    if now.starts > before.starts {
+        events.push(Event::new("bridge-restarted", ""));
+    }
+    if let (Some(old), Some(new)) = (before.identity.serial, now.identity.serial)
+        && old != new
+    {
+        events.push(Event::new("bridge-exchanged", format!("{old:08x} {new:08x}")));
+    }
+    if now.quality != before.quality
+        && let Some(quality) = now.quality
+    {
+        events.push(Event::new("quality", quality_word(quality)));
+    }
+    if now.calibration != before.calibration
+        && let Some(crc) = now.calibration
+    {
+        events.push(Event::new("calibration", format!("{crc:08x}")));
+    }
+    let words = [
+        ("fault-set", "fault-cleared", &before.faults, &now.faults),
+        ("state-set", "state-cleared", &before.state, &now.state),
+    ];
+    for (set, cleared, before, now) in words {
+        let new = now.iter().filter(|word| !before.contains(word));
+        events.extend(new.map(|word| Event::new(set, *word)));
+        let gone = before.iter().filter(|word| !now.contains(word));
+        events.extend(gone.map(|word| Event::new(cleared, *word)));
+    }
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn codes(before: &Snapshot, now: &Snapshot) -> Vec<(&'static str, String)> {
+        events(before, now).into_iter().map(|it| (it.code, it.about)).collect()
+    }
+
+    #[test]
+    fn each_change_is_an_event_and_a_value_that_moves_is_none() {
+        let up = Snapshot {
+            is_up: true,
+            quality: Some(Quality::Live),
+            faults: vec!["cnc-lost"],
+            calibration: Some(0xAB),
+            ..Snapshot::default()
+        };
+        let same = Snapshot { offset_um: [Some(1.0); 3], lost_frames: 3, ..up.clone() };
+        assert_eq!(codes(&up, &same), []);
+        let now = Snapshot {
+            quality: Some(Quality::Hold),
+            faults: vec!["sensor-range"],
+            state: vec!["restarted"],
+            calibration: Some(0xCD),
+            starts: 1,
+            ..up.clone()
+        };
+        let expected = [
+            ("bridge-restarted", ""),
+            ("quality", "hold"),
+            ("calibration", "000000cd"),
+            ("fault-set", "sensor-range"),
+            ("fault-cleared", "cnc-lost"),
+            ("state-set", "restarted"),
+        ];
+        assert_eq!(codes(&up, &now), expected.map(|(code, about)| (code, about.to_owned())));
+    }
+
+    #[test]
+    fn a_line_that_is_lost_changes_nothing_else() {
+        let up = Snapshot { is_up: true, faults: vec!["store"], ..Snapshot::default() };
+        let down = Snapshot { why: Some("closed".into()), ..Snapshot::default() };
+        assert_eq!(codes(&up, &down), [("bridge-down", "closed".to_owned())]);
+        assert_eq!(codes(&down, &down), []);
+        let expected = [("bridge-up", String::new()), ("fault-set", "store".into())];
+        assert_eq!(codes(&down, &up), expected);
+    }
+}

@@ -1,0 +1,147 @@
+//! Sparkplug B 3.0: payloads and topics.
+//!
+//! The messages are those of `srad-types`; their order is kept by [`node`].
+//!
+//! Sparkplug has its data sent at most once (QoS 0). What must not be lost therefore goes out on topics outside its name
+//! space, at least once (QoS 1), with payloads of the same form and an identifier in `uuid`.
+
+pub mod node;
+
+use srad_types::payload::{
+    self, DataType, Message as _, Payload, PropertySet, PropertyValue, metric, property_value,
+};
+
+use crate::{
+    metrics::{Metric, Value, metrics},
+    snapshot::{Event, Snapshot},
+    spool::Draft,
+};
+
+/// The group of every edge node.
+pub const GROUP: &str = "trueup";
+/// The metric by which a host asks for all births again.
+pub const REBIRTH: &str = "Node Control/Rebirth";
+/// The unit of a metric, as hosts read it.
+const UNIT: &str = "engUnit";
+
+/// Returns the topic of a message of this type of an edge node, or of a device of it.
+#[must_use]
+pub fn topic(kind: &str, node: &str, device: Option<&str>) -> String {
+    let device = device.map(|it| format!("/{it}")).unwrap_or_default();
+    format!("spBv1.0/{GROUP}/{kind}/{node}{device}")
+}
+
+/// Returns the topic of a host application's state.
+#[must_use]
+pub fn state_topic(host: &str) -> String {
+    format!("spBv1.0/STATE/{host}")
+}
+
+/// Returns the topic outside Sparkplug's name space of what is recorded, or of the retained state.
+#[must_use]
+pub fn own_topic(node: &str, device: Option<&str>, kind: &str) -> String {
+    let device = device.map(|it| format!("/{it}")).unwrap_or_default();
+    format!("{GROUP}/{node}{device}/{kind}")
+}
+
+/// Returns the identifier of a device: the serial number of its board.
+#[must_use]
+pub fn device_id(serial: u32) -> String {
+    format!("{serial:08x}")
+}
+
+/// Returns a metric with its name.
+#[must_use]
+pub fn named(name: &str, value: &Value, time_ms: u64) -> payload::Metric {
+    let mut metric = payload::Metric::new();
+    metric.set_name(name.to_owned()).set_timestamp(time_ms);
+    let datatype = match value {
+        Value::Number(_) => DataType::Double,
+        Value::Count(_) => DataType::UInt64,
+        Value::Text(_) => DataType::String,
+        Value::Flag(_) => DataType::Boolean,
+    };
+    metric.set_datatype(datatype);
+    match value {
+        Value::Number(Some(number)) => metric.set_value(metric::Value::DoubleValue(*number)),
+        Value::Count(count) => metric.set_value(metric::Value::LongValue(*count)),
+        Value::Text(Some(text)) => metric.set_value(metric::Value::StringValue(text.clone())),
+        Value::Flag(flag) => metric.set_value(metric::Value::BooleanValue(*flag)),
+        Value::Number(None) | Value::Text(None) => metric.set_null(),
+    };
+    metric
+}
+
+/// Returns a metric of a birth: name, alias, unit.
+#[must_use]
+pub fn born(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
+    let mut born = named(metric.name, &metric.value, time_ms);
+    born.set_alias(alias);
+    if !metric.unit.is_empty() {
+        let unit = PropertyValue {
+            r#type: Some(DataType::String as u32),
+            is_null: None,
+            value: Some(property_value::Value::StringValue(metric.unit.to_owned())),
+        };
+        born.properties = Some(PropertySet { keys: vec![UNIT.into()], values: vec![unit] });
+    }
+    born
+}
+
+/// Returns the bytes of a payload.
+#[must_use]
+pub fn encode(
+    metrics: Vec<payload::Metric>,
+    time_ms: u64,
+    seq: Option<u8>,
+    id: Option<&str>,
+) -> Vec<u8> {
+    let whole = Payload {
+        timestamp: Some(time_ms),
+        metrics,
+        seq: seq.map(u64::from),
+        uuid: id.map(str::to_owned),
+        body: None,
+    };
+    whole.encode_to_vec()
+}
+
+/// Returns the metrics of what came over a topic; `None`: it is no payload.
+#[must_use]
+pub fn decode(bytes: &[u8]) -> Option<Vec<payload::Metric>> {
+    Payload::decode(bytes).ok().map(|it| it.metrics)
+}
+
+/// Returns whether a command asks for all births again; `None`: it is no payload.
+#[must_use]
+pub fn asks_rebirth(bytes: &[u8]) -> Option<bool> {
+    let asks = |it: &payload::Metric| {
+        it.name.as_deref() == Some(REBIRTH) && it.value == Some(metric::Value::BooleanValue(true))
+    };
+    Some(decode(bytes)?.iter().any(asks))
+}
+
+/// Returns an event to be recorded.
+#[must_use]
+pub fn event(node: &str, device: Option<&str>, event: Event, time_ms: u64) -> Draft {
+    let payload = move |id: &str| {
+        let text = |name, text: &str| named(name, &Value::Text(Some(text.to_owned())), time_ms);
+        let metrics = vec![text("Event/Code", event.code), text("Event/About", &event.about)];
+        encode(metrics, time_ms, None, Some(id))
+    };
+    let topic = own_topic(node, device, "event");
+    Draft { time_ms, topic, payload: Box::new(payload) }
+}
+
+/// Returns a row of what a bridge does at a moment, to be recorded: all that is known.
+#[must_use]
+pub fn row(node: &str, device: Option<&str>, of: &Snapshot, time_ms: u64) -> Draft {
+    let mut known = metrics(of);
+    known.retain(|it| !matches!(it.value, Value::Number(None) | Value::Text(None)));
+    let payload = move |id: &str| {
+        let metrics = known.iter().map(|it| named(it.name, &it.value, time_ms)).collect();
+        encode(metrics, time_ms, None, Some(id))
+    };
+    let topic = own_topic(node, device, "record");
+    Draft { time_ms, topic, payload: Box::new(payload) }
+}

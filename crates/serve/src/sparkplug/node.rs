@@ -1,0 +1,235 @@
+//! An edge node with its devices: which messages are due, in the order and with the numbers that Sparkplug asks for.
+//!
+//! | what happens | goes out |
+//! |---|---|
+//! | the broker has accepted the connection, a host asks for it | NBIRTH (seq 0), DBIRTH of each device that is there |
+//! | a bridge is found | DBIRTH |
+//! | values have changed | DDATA of these; of the node NDATA |
+//! | a bridge is lost, or exchanged | DDEATH |
+//! | the connection breaks | NDEATH, by the broker: it is the will of the connection |
+//!
+//! `bdSeq` counts connections and ties an NDEATH to its NBIRTH. No I/O and no clock here: time is an argument.
+
+use srad_types::payload::{self, DataType, metric};
+
+use super::{REBIRTH, born, device_id, encode, named, own_topic, topic};
+use crate::{
+    metrics::{FLAGS, Metric, Value, metrics},
+    snapshot::Snapshot,
+};
+
+/// Each device has so many aliases; the node has the first of them.
+const ALIASES: u64 = 1_000;
+/// The metric of the number of a connection.
+const BD_SEQ: &str = "bdSeq";
+/// The metric by which a publisher knows its own births.
+pub const PUBLISHER: &str = "Properties/Publisher";
+
+/// What is to be published.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Message {
+    /// Where.
+    pub topic: String,
+    /// What.
+    pub payload: Vec<u8>,
+    /// The broker keeps it for those who subscribe later.
+    pub is_retained: bool,
+}
+
+/// An edge node.
+pub struct Node {
+    name: String,
+    publisher: String,
+    version: &'static str,
+    seq: u8,
+    bd_seq: u8,
+    /// What was last said of the node itself.
+    own: Option<Vec<Metric>>,
+    devices: Vec<Device>,
+}
+
+/// A device, once it was born.
+#[derive(Default)]
+struct Device {
+    /// Its identifier; `None`: it is not there.
+    id: Option<String>,
+    /// What was last said of it.
+    said: Vec<Metric>,
+}
+
+/// What is published of the node itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Own {
+    /// Records and events on the disk since the publisher began: it changes with each row, so that a host that comes
+    /// late is sent something, and asks for the births.
+    pub recorded: u64,
+    /// Records and events that the broker does not have.
+    pub waiting: u64,
+    /// Those that no broker will ever have.
+    pub lost: u64,
+}
+
+impl Node {
+    /// Returns the edge node of this name. `publisher` differs from that of any other publisher.
+    #[must_use]
+    pub fn new(name: &str, publisher: &str, version: &'static str, bd_seq: u8) -> Self {
+        let (name, publisher) = (name.to_owned(), publisher.to_owned());
+        Self { name, publisher, version, seq: 0, bd_seq, own: None, devices: Vec::new() }
+    }
+
+    /// Counts a new connection; returns its number.
+    pub fn begin_connection(&mut self) -> u8 {
+        self.bd_seq = self.bd_seq.wrapping_add(1);
+        self.forget();
+        self.bd_seq
+    }
+
+    /// Everything is to be born again.
+    fn forget(&mut self) {
+        self.own = None;
+        self.devices.clear();
+    }
+
+    fn numbered_connection(&self, time_ms: u64) -> payload::Metric {
+        let mut number = payload::Metric::new();
+        number.set_name(BD_SEQ.into()).set_datatype(DataType::Int64).set_timestamp(time_ms);
+        number.set_value(metric::Value::LongValue(self.bd_seq.into()));
+        number
+    }
+
+    /// Returns the will of the connection, and what is said before it is ended on purpose.
+    #[must_use]
+    pub fn death(&self, time_ms: u64) -> Message {
+        let metrics = vec![self.numbered_connection(time_ms)];
+        self.message("NDEATH", None, encode(metrics, time_ms, None, None))
+    }
+
+    fn message(&self, kind: &str, device: Option<&str>, payload: Vec<u8>) -> Message {
+        Message { topic: topic(kind, &self.name, device), payload, is_retained: false }
+    }
+
+    fn numbered(
+        &mut self,
+        kind: &str,
+        device: Option<&str>,
+        metrics: Vec<payload::Metric>,
+        time_ms: u64,
+    ) -> Message {
+        let seq = self.seq;
+        self.seq = self.seq.wrapping_add(1);
+        self.message(kind, device, encode(metrics, time_ms, Some(seq), None))
+    }
+
+    /// Returns all births: after the broker has accepted the connection, and when a host asks for them.
+    pub fn rebirth(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
+        self.forget();
+        self.update(own, bridges, time_ms)
+    }
+
+    /// Returns what has changed since the last call.
+    pub fn update(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
+        let mut messages = Vec::new();
+        let metrics = self.own_metrics(own);
+        match self.own.take() {
+            None => messages.push(self.birth(&metrics, time_ms)),
+            Some(said) => {
+                let changed = changed(&said, &metrics, 1, time_ms);
+                if !changed.is_empty() {
+                    messages.push(self.numbered("NDATA", None, changed, time_ms));
+                }
+            }
+        }
+        self.own = Some(metrics);
+        self.devices.resize_with(bridges.len(), Device::default);
+        for (place, bridge) in bridges.iter().enumerate() {
+            self.device(place, bridge, time_ms, &mut messages);
+        }
+        messages
+    }
+
+    /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
+    #[must_use]
+    pub fn has_other_words(&self, bridges: &[Snapshot]) -> bool {
+        let known = self.devices.iter().map(|it| &it.said);
+        bridges.len() != self.devices.len()
+            || known.zip(bridges).any(|(said, of)| {
+                let is_word = |it: &&Metric| {
+                    matches!(it.value, Value::Text(_) | Value::Flag(_)) && it.name != FLAGS
+                };
+                let now = metrics(of);
+                !said.iter().filter(is_word).eq(now.iter().filter(is_word))
+            })
+    }
+
+    fn own_metrics(&self, own: Own) -> Vec<Metric> {
+        let text =
+            |name, text: &str| Metric { name, unit: "", value: Value::Text(Some(text.to_owned())) };
+        let count = |name, count| Metric { name, unit: "", value: Value::Count(count) };
+        vec![
+            Metric { name: REBIRTH, unit: "", value: Value::Flag(false) },
+            text("Properties/Version", self.version),
+            text(PUBLISHER, &self.publisher),
+            count("Spool/Recorded", own.recorded),
+            count("Spool/Waiting", own.waiting),
+            count("Spool/Lost", own.lost),
+        ]
+    }
+
+    fn birth(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
+        self.seq = 0;
+        let mut all = vec![self.numbered_connection(time_ms)];
+        all.extend(metrics.iter().zip(1..).map(|(it, alias)| born(it, alias, time_ms)));
+        self.numbered("NBIRTH", None, all, time_ms)
+    }
+
+    fn device(&mut self, place: usize, of: &Snapshot, time_ms: u64, messages: &mut Vec<Message>) {
+        let Some(known) = self.devices.get_mut(place) else { return };
+        let Device { id: old, said } = std::mem::take(known);
+        let id = of.identity.serial.filter(|_| of.is_up).map(device_id);
+        let first = ALIASES * (place as u64 + 1);
+        let now = metrics(of);
+        if old.is_some() && old != id {
+            messages.push(self.numbered("DDEATH", old.as_deref(), Vec::new(), time_ms));
+            messages.extend(old.as_deref().map(|it| self.retained(it, &now, time_ms)));
+        }
+        if let Some(id) = &id {
+            let (kind, metrics) = if old.as_ref() == Some(id) {
+                ("DDATA", changed(&said, &now, first, time_ms))
+            } else {
+                let all = now.iter().zip(first..);
+                ("DBIRTH", all.map(|(it, alias)| born(it, alias, time_ms)).collect())
+            };
+            if !metrics.is_empty() {
+                messages.push(self.numbered(kind, Some(id), metrics, time_ms));
+                messages.push(self.retained(id, &now, time_ms));
+            }
+        }
+        if let Some(known) = self.devices.get_mut(place) {
+            *known = Device { id, said: now };
+        }
+    }
+
+    /// Returns the whole state of a device, for those who subscribe later and are no Sparkplug host.
+    fn retained(&self, id: &str, metrics: &[Metric], time_ms: u64) -> Message {
+        let metrics = metrics.iter().map(|it| named(it.name, &it.value, time_ms)).collect();
+        let topic = own_topic(&self.name, Some(id), "state");
+        Message { topic, payload: encode(metrics, time_ms, None, None), is_retained: true }
+    }
+}
+
+/// Returns the metrics that have another value now, by their aliases.
+fn changed(said: &[Metric], now: &[Metric], first: u64, time_ms: u64) -> Vec<payload::Metric> {
+    let pairs = said.iter().zip(now).zip(first..);
+    pairs
+        .filter(|((said, now), _)| said.value != now.value)
+        .map(|((_, now), alias)| {
+            let mut metric = named(now.name, &now.value, time_ms);
+            (metric.name, metric.datatype) = (None, None);
+            metric.set_alias(alias);
+            metric
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,328 @@
+//! The spool: records and events on disk from the moment at which they count as recorded until the broker has them.
+//!
+//! ```text
+//!  append ─► file, synced ─► next_to_send ─► acknowledge ─► (RESEND passes) ─► settled, removed
+//!                                 ▲                                │
+//!                                 └── rewind: the connection broke ◄┘
+//! ```
+//!
+//! A broker that is killed may lose what it acknowledged last, so a record stays for [`RESEND`] after its
+//! acknowledgement, and is sent again with the same identifier if the connection breaks meanwhile. The identifier
+//! is that of its file, drawn at random, and its number: no clock and no restart makes two records the same.
+//!
+//! A file is never written again after a restart. Bytes that are no whole record are copied into the folder
+//! `damaged`, reported with the numbers and times between which they lie, and passed over.
+
+mod report;
+pub mod segment;
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    fs::{self, File, OpenOptions},
+    hash::{BuildHasher as _, RandomState},
+    io::{self, Read as _, Seek as _, SeekFrom, Write as _},
+    path::{Path, PathBuf},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+use fs4::FileExt;
+
+pub use self::report::Report;
+use self::segment::{Entry, Record, decode, encode, scan};
+
+/// A record is kept for this long after its acknowledgement.
+pub const RESEND: Duration = Duration::from_secs(60);
+/// A file that has reached this length is followed by a new one.
+const FILE_BYTES: u64 = 1 << 20;
+const EXTENSION: &str = "spool";
+const SETTLED: &str = "settled";
+
+/// Makes the payload of the record with an identifier.
+pub type MakePayload = dyn Fn(&str) -> Vec<u8> + Send;
+
+/// Something to be recorded.
+pub struct Draft {
+    /// When it was made, in ms since 1970 (UTC).
+    pub time_ms: u64,
+    /// Where it is published.
+    pub topic: String,
+    /// Makes the payload of the record with this identifier.
+    pub payload: Box<MakePayload>,
+}
+
+/// The files of a folder, of which this process alone takes care.
+pub struct Spool {
+    folder: PathBuf,
+    limit: u64,
+    segments: VecDeque<Segment>,
+    /// The file that is written; `None`: the next record begins one.
+    active: Option<File>,
+    next: u64,
+    /// Everything up to this number is done with.
+    settled: u64,
+    /// The last one that was handed out to be sent.
+    sent: u64,
+    /// What the broker has, of what is not settled, and since when.
+    acknowledged: BTreeMap<u64, Instant>,
+    reports: Vec<Report>,
+    _lock: File,
+}
+
+struct Segment {
+    id: u64,
+    path: PathBuf,
+    entries: Vec<Entry>,
+    bytes: u64,
+}
+
+impl Segment {
+    /// Returns the records with a higher number.
+    fn after(&self, number: u64) -> &[Entry] {
+        &self.entries[self.entries.partition_point(|it| it.number <= number)..]
+    }
+}
+
+impl Spool {
+    /// Opens the spool of a folder, which is made if need be. It has at most `limit` bytes of records.
+    ///
+    /// # Errors
+    /// Another process has it, or the folder cannot be read or written.
+    pub fn open(folder: &Path, limit: u64) -> Result<Self> {
+        let place = || folder.display().to_string();
+        fs::create_dir_all(folder).with_context(place)?;
+        let path = folder.join("lock");
+        let lock = File::create(&path).with_context(|| path.display().to_string())?;
+        FileExt::try_lock(&lock).with_context(|| {
+            format!(
+                "{}: another process publishes from this spool; end it, or give each bridge a folder of its own",
+                folder.display()
+            )
+        })?;
+        let settled = read_settled(folder);
+        let mut spool = Self {
+            folder: folder.into(),
+            limit,
+            segments: VecDeque::new(),
+            active: None,
+            next: settled + 1,
+            settled,
+            sent: settled,
+            acknowledged: BTreeMap::new(),
+            reports: Vec::new(),
+            _lock: lock,
+        };
+        spool.read_files().with_context(place)?;
+        spool.remove_settled();
+        Ok(spool)
+    }
+
+    fn read_files(&mut self) -> io::Result<()> {
+        let mut names: Vec<PathBuf> =
+            fs::read_dir(&self.folder)?.flatten().map(|entry| entry.path()).collect();
+        names.retain(|path| path.extension().is_some_and(|it| it == EXTENSION));
+        names.sort();
+        for path in names {
+            let Some((first, id)) = numbers(&path) else { continue };
+            let bytes = fs::read(&path)?;
+            let (entries, gaps) = scan(id, &bytes);
+            for gap in gaps.iter().filter(|gap| {
+                // What was done with before needs no report.
+                gap.after.is_none_or(|after| after.number > self.settled + 1)
+            }) {
+                let copy = self.folder.join("damaged");
+                fs::create_dir_all(&copy)?;
+                let name = path.file_stem().unwrap_or_default().to_string_lossy();
+                let copy = copy.join(format!("{name}-{}.bin", gap.at));
+                if !copy.exists() {
+                    fs::write(&copy, &bytes[gap.at..gap.at + gap.length])?;
+                    self.reports.push(Report::damage(&path, gap, first, copy));
+                }
+            }
+            let last = entries.last().map_or(first.saturating_sub(1), |entry| entry.number);
+            self.next = self.next.max(last + 1);
+            self.segments.push_back(Segment { id, path, entries, bytes: bytes.len() as u64 });
+        }
+        Ok(())
+    }
+
+    /// Records these. When this returns they are on the disk, all of them or none.
+    ///
+    /// # Errors
+    /// The disk takes them not: it is full, or broken.
+    pub fn append(&mut self, drafts: &[Draft]) -> io::Result<()> {
+        if drafts.is_empty() {
+            return Ok(());
+        }
+        if self.active.is_none() || self.segments.back().is_none_or(|it| it.bytes >= FILE_BYTES) {
+            self.begin_file()?;
+        }
+        let Some((segment, file)) = self.segments.back_mut().zip(self.active.as_mut()) else {
+            return Err(io::ErrorKind::NotFound.into());
+        };
+        let (mut bytes, mut entries) = (Vec::new(), Vec::new());
+        for (draft, number) in drafts.iter().zip(self.next..) {
+            let payload = (draft.payload)(&format!("{:016x}-{number}", segment.id));
+            let (time_ms, topic) = (draft.time_ms, draft.topic.clone());
+            let record = Record { number, time_ms, topic, payload };
+            let encoded = encode(segment.id, &record)
+                .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "a record too long"))?;
+            let at = segment.bytes + bytes.len() as u64;
+            entries.push(Entry { number, time_ms, at, length: encoded.len() });
+            bytes.extend(encoded);
+        }
+        if let Err(error) = file.write_all(&bytes).and_then(|()| file.sync_data()) {
+            // Whatever of it is there must not be read as recorded; the next record begins a file.
+            file.set_len(segment.bytes).ok();
+            self.active = None;
+            return Err(error);
+        }
+        segment.bytes += bytes.len() as u64;
+        self.next += entries.len() as u64;
+        segment.entries.extend(entries);
+        self.make_room();
+        Ok(())
+    }
+
+    fn begin_file(&mut self) -> io::Result<()> {
+        self.active = None;
+        if self.segments.back().is_some_and(|it| it.entries.is_empty()) {
+            // It could not be written; it may hold half a record.
+            self.segments.pop_back().map(|it| fs::remove_file(it.path));
+        }
+        let id = RandomState::new().hash_one(self.next);
+        let path = self.folder.join(format!("{:020}-{id:016x}.{EXTENSION}", self.next));
+        let file = OpenOptions::new().create_new(true).append(true).open(&path)?;
+        // Its name too must outlive the power.
+        #[cfg(unix)]
+        File::open(&self.folder)?.sync_all()?;
+        self.active = Some(file);
+        self.segments.push_back(Segment { id, path, entries: Vec::new(), bytes: 0 });
+        Ok(())
+    }
+
+    /// Removes the oldest files while there are more bytes than the limit.
+    fn make_room(&mut self) {
+        let mut bytes: u64 = self.segments.iter().map(|it| it.bytes).sum();
+        while bytes > self.limit && self.segments.len() > 1 {
+            let Some(oldest) = self.segments.pop_front() else { return };
+            bytes -= oldest.bytes;
+            let lost = |it: &&Entry| {
+                it.number > self.settled && !self.acknowledged.contains_key(&it.number)
+            };
+            let lost: Vec<Entry> = oldest.entries.iter().filter(lost).copied().collect();
+            if let (Some(first), Some(last)) = (lost.first(), lost.last()) {
+                self.reports.push(Report::overrun(*first, *last, lost.len()));
+            }
+            let last = oldest.entries.last().map_or(0, |it| it.number);
+            self.settled = self.settled.max(last);
+            self.sent = self.sent.max(self.settled);
+            fs::remove_file(oldest.path).ok();
+        }
+        self.forget_acknowledged();
+    }
+
+    /// Returns the next record that was not sent since the last [`Self::rewind`].
+    pub fn next_to_send(&mut self) -> Option<Record> {
+        loop {
+            let first = |it: &'_ Segment| it.after(self.sent).first().copied();
+            let mut found = self.segments.iter().filter_map(|it| Some((it, first(it)?)));
+            let (segment, entry) = found.next()?;
+            self.sent = entry.number;
+            if let Some(record) = read(segment, entry) {
+                return Some(record);
+            }
+            // Damaged since it was written: found again, and set aside, when the spool is opened next.
+            self.reports.push(Report::unreadable(&segment.path, entry));
+            self.acknowledge(entry.number, Instant::now());
+        }
+    }
+
+    /// Takes a record back that could not be sent: it is the next one.
+    pub fn put_back(&mut self, number: u64) {
+        self.sent = number.saturating_sub(1);
+    }
+
+    /// Takes note that the broker has a record.
+    pub fn acknowledge(&mut self, number: u64, now: Instant) {
+        if number > self.settled {
+            self.acknowledged.entry(number).or_insert(now);
+        }
+    }
+
+    /// Begins again with the first record that is not settled: the connection was lost.
+    pub fn rewind(&mut self) {
+        self.sent = self.settled;
+        self.acknowledged.clear();
+    }
+
+    /// Settles what was acknowledged long enough ago, and removes files without any other record.
+    pub fn settle(&mut self, now: Instant) {
+        let before = self.settled;
+        let old = |at: &Instant| now.saturating_duration_since(*at) >= RESEND;
+        // One that is open keeps all after it, in whatever order the acknowledgements came.
+        let open = self.segments.iter().flat_map(|it| it.after(before));
+        let done = open.take_while(|it| self.acknowledged.get(&it.number).is_some_and(old));
+        self.settled = done.last().map_or(before, |it| it.number);
+        if self.settled != before {
+            self.forget_acknowledged();
+            self.remove_settled();
+        }
+    }
+
+    fn forget_acknowledged(&mut self) {
+        self.acknowledged = self.acknowledged.split_off(&(self.settled + 1));
+    }
+
+    fn remove_settled(&mut self) {
+        let is_written = usize::from(self.active.is_some());
+        while self.segments.len() > is_written
+            && let Some(oldest) = self.segments.front()
+            && oldest.entries.last().is_none_or(|it| it.number <= self.settled)
+        {
+            fs::remove_file(&oldest.path).ok();
+            self.segments.pop_front();
+        }
+        // If it is lost, some records are sent once more.
+        let path = self.folder.join(SETTLED);
+        let new = path.with_extension("new");
+        let text = format!("{}\n", self.settled);
+        fs::write(&new, text).and_then(|()| fs::rename(&new, &path)).ok();
+    }
+
+    /// Returns how many records the broker has not acknowledged.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        let open: usize = self.segments.iter().map(|it| it.after(self.settled).len()).sum();
+        open.saturating_sub(self.acknowledged.len())
+    }
+
+    /// Returns what was found damaged and what gave way since the last call.
+    pub fn reports(&mut self) -> Vec<Report> {
+        std::mem::take(&mut self.reports)
+    }
+}
+
+/// Returns a record of a file; `None`: it is damaged.
+fn read(segment: &Segment, entry: Entry) -> Option<Record> {
+    let mut bytes = vec![0; entry.length];
+    let mut file = File::open(&segment.path).ok()?;
+    file.seek(SeekFrom::Start(entry.at)).ok()?;
+    file.read_exact(&mut bytes).ok()?;
+    let (record, _) = decode(segment.id, &bytes)?;
+    (record.number == entry.number).then_some(record)
+}
+
+/// Returns the first number and the identifier that a file's name has.
+fn numbers(path: &Path) -> Option<(u64, u64)> {
+    let (first, id) = path.file_stem()?.to_str()?.split_once('-')?;
+    Some((first.parse().ok()?, u64::from_str_radix(id, 16).ok()?))
+}
+
+fn read_settled(folder: &Path) -> u64 {
+    let text = fs::read_to_string(folder.join(SETTLED)).unwrap_or_default();
+    text.trim().parse().unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,127 @@
+//! What went wrong with the spool, for people: which records, of which time, and where they are now.
+
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
+
+use super::segment::{Entry, Gap};
+use crate::clock::utc_text;
+
+/// Records that are damaged, or gave way.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Report {
+    /// Bytes that are no whole record were found when the spool was opened.
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// Their first byte.
+        at: usize,
+        /// How many there are.
+        length: usize,
+        /// The first number that is missing.
+        first: u64,
+        /// The last one; `None`: the file ends here.
+        last: Option<u64>,
+        /// The times of the whole records around them, in ms since 1970.
+        between_ms: [Option<u64>; 2],
+        /// Where the bytes were copied to.
+        copy: PathBuf,
+    },
+    /// A record was whole when it was written, and is not any more.
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// The number of the record.
+        number: u64,
+        /// When it was made, in ms since 1970.
+        time_ms: u64,
+    },
+    /// The oldest records gave way to new ones before the broker had them.
+    Overrun {
+        /// How many.
+        count: usize,
+        /// The first and the last number.
+        numbers: [u64; 2],
+        /// When these were made, in ms since 1970.
+        times_ms: [u64; 2],
+    },
+}
+
+impl Report {
+    pub(super) fn damage(file: &Path, gap: &Gap, first_of_file: u64, copy: PathBuf) -> Self {
+        Self::Damaged {
+            file: file.into(),
+            at: gap.at,
+            length: gap.length,
+            first: gap.before.map_or(first_of_file, |it| it.number + 1),
+            last: gap.after.map(|it| it.number.saturating_sub(1)),
+            between_ms: [gap.before, gap.after].map(|it| it.map(|it| it.time_ms)),
+            copy,
+        }
+    }
+
+    pub(super) fn unreadable(file: &Path, entry: Entry) -> Self {
+        Self::Unreadable { file: file.into(), number: entry.number, time_ms: entry.time_ms }
+    }
+
+    pub(super) fn overrun(first: Entry, last: Entry, count: usize) -> Self {
+        let [numbers, times_ms] = [[first.number, last.number], [first.time_ms, last.time_ms]];
+        Self::Overrun { count, numbers, times_ms }
+    }
+
+    /// Returns how many records are lost, as far as that is known.
+    #[must_use]
+    pub fn count(&self) -> u64 {
+        match self {
+            Self::Damaged { first, last: Some(last), .. } => last.saturating_sub(*first) + 1,
+            Self::Damaged { .. } | Self::Unreadable { .. } => 1,
+            Self::Overrun { count, .. } => *count as u64,
+        }
+    }
+
+    /// Returns the code of the event that is made of it.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Damaged { .. } | Self::Unreadable { .. } => "spool-damaged",
+            Self::Overrun { .. } => "spool-overrun",
+        }
+    }
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Damaged { file, at, length, first, last, between_ms, copy } => {
+                write!(f, "{}, byte {at}: {length} bytes are no whole record: ", file.display())?;
+                match last {
+                    Some(last) if last > first => write!(f, "numbers {first} to {last}")?,
+                    Some(_) => write!(f, "number {first}")?,
+                    None => write!(f, "number {first}, where the file ends")?,
+                }
+                for (word, time_ms) in ["after", "before"].into_iter().zip(between_ms) {
+                    if let Some(time_ms) = time_ms {
+                        write!(f, ", {word} {}", utc_text(*time_ms))?;
+                    }
+                }
+                write!(f, "; copied to {}, all others are sent", copy.display())
+            }
+            Self::Unreadable { file, number, time_ms } => write!(
+                f,
+                "{}: record {number} of {} was damaged after it was written; all others are sent; \
+                 check the disk",
+                file.display(),
+                utc_text(*time_ms)
+            ),
+            Self::Overrun { count, numbers: [first, last], times_ms: [from, to] } => write!(
+                f,
+                "the spool is full: {count} records that the broker never had gave way to new ones, \
+                 numbers {first} to {last}, {} to {}; let it have more with --spool-mb, or bring the \
+                 broker back",
+                utc_text(*from),
+                utc_text(*to)
+            ),
+        }
+    }
+}

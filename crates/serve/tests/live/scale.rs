@@ -1,0 +1,164 @@
+//! A thousand bridges as devices of one edge node: what memory and processor the publisher takes, with a real broker.
+//!
+//! The bridges are frames: the lines to them, a few threads each, are left out. All else is the publisher's own.
+
+use std::{
+    fs,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_client::line::LineEvent;
+use trueup_core::{
+    cnc::{Output, Quality},
+    units::Nanometres,
+};
+use trueup_link::{
+    frame::Frame,
+    frames,
+    layout::SDO_ANSWER_ID,
+    slcan::Event,
+    status::{Item, StateBits, Status, encode},
+};
+use trueup_serve::{
+    bridge::Bridge,
+    broker::{Broker, Files},
+    clock,
+    mqtt::{self, Publisher},
+    mtconnect::adapter::Adapter,
+    record::Recorder,
+    shared::Shared,
+    sparkplug::node::Node,
+    spool::Spool,
+};
+
+use crate::parts::Mosquitto;
+
+const BRIDGES: usize = 1_000;
+/// The most that they may take.
+const MAX_MB: f64 = 300.0;
+/// Once it runs evenly it is measured for this long.
+const MEASURED: Duration = Duration::from_secs(30);
+/// Each bridge says its offsets so often; a real one does so a thousand times a second, in a thread of its own.
+const SAID: Duration = Duration::from_millis(250);
+
+/// Lets a bridge say its offset and a part of its status, and answer what it was asked.
+fn speak(bridge: &mut Bridge, place: usize, turn: usize, now: Instant) {
+    let said = |bridge: &mut Bridge, frame: Frame| {
+        bridge.receive(LineEvent::Received(Event::Frame(frame)), now);
+    };
+    let nm = ((place + turn) % 1_000) as i32 * 10;
+    let offset = Some([nm, -nm, 2 * nm].map(Nanometres));
+    let output = Output { offset, quality: Quality::Live, ..Output::default() };
+    let counter = turn as u8;
+    said(bridge, frames::offset_xy(&output, counter));
+    said(bridge, frames::offset_z(&output, counter));
+    let centi_c = [Some(2_000 + ((place + turn) % 100) as i16), Some(2_100)];
+    let item = match turn % 3 {
+        0 => Item::State(StateBits::default()),
+        1 => Item::Temperatures { pair: (turn / 3 % 4) as u8, centi_c },
+        _ => Item::Calibration(7),
+    };
+    said(bridge, encode(&Status { last_refused: Default::default(), item }, counter));
+    if let Some(request) = bridge.due(now) {
+        let [_, low, high, sub, ..] = *request.data();
+        let serial = (place as u32 + 1).to_le_bytes();
+        let is_serial = (low, high, sub) == (0x18, 0x10, 4);
+        let kind = if is_serial { 0x43 } else { 0x80 };
+        let answer = [kind, low, high, sub, serial[0], serial[1], serial[2], serial[3]];
+        said(bridge, Frame::new(SDO_ANSWER_ID, &answer).expect("eight bytes"));
+    }
+}
+
+/// Returns the seconds of a processor that this process has used, and the most memory in MB.
+fn cost() -> Result<(f64, f64)> {
+    let stat = fs::read_to_string("/proc/self/stat")?;
+    let fields: Vec<&str> = stat.rsplit_once(')').context("a name")?.1.split_whitespace().collect();
+    let ticks: f64 = fields[11].parse::<f64>()? + fields[12].parse::<f64>()?;
+    let status = fs::read_to_string("/proc/self/status")?;
+    let peak = status.lines().find_map(|it| it.strip_prefix("VmHWM:")).context("Linux has it")?;
+    let kb: f64 = peak.trim_end_matches("kB").trim().parse()?;
+    Ok((ticks / 100.0, kb / 1_024.0))
+}
+
+/// `cargo test -p trueup-serve --test live -- --ignored --nocapture a_thousand_bridges`
+#[test]
+#[ignore = "long: a thousand bridges for 45 s"]
+fn a_thousand_bridges_at_one_edge_node_take_little_memory() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let broker = Mosquitto::start(folder.path(), "autosave_interval 30")?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let now = Instant::now();
+    let mut bridges: Vec<Bridge> = (0..BRIDGES).map(|_| Bridge::new(now)).collect();
+    bridges.iter_mut().for_each(|it| _ = it.receive(LineEvent::Up, now));
+    let spool = Spool::open(&folder.path().join("spool"), 512 << 20)?;
+    let shared = Shared::new(bridges, spool, stop.clone());
+    let feeding = shared.clone();
+    let feed = thread::spawn(move || {
+        for turn in 0.. {
+            let began = Instant::now();
+            for place in 0..BRIDGES {
+                if let Some(mut bridge) = feeding.bridge(place) {
+                    speak(&mut bridge, place, turn, Instant::now());
+                }
+            }
+            if feeding.has_ended() {
+                return;
+            }
+            thread::sleep(SAID.saturating_sub(began.elapsed()));
+        }
+    });
+    let publisher = Publisher {
+        broker: Broker::new(&broker.url(), None, Files::default())?,
+        name: "shop".into(),
+        id: "trueup-shop".into(),
+        primary_host: None,
+        keep_bd_seq: Box::new(|_| ()),
+        report: Box::new(|text| println!("{text}")),
+    };
+    let publishing = shared.clone();
+    let mqtt = thread::spawn(move || {
+        let mut node = Node::new("shop", "me", "0.0.0", 0);
+        mqtt::run(&publishing, &publisher, &mut node);
+    });
+    let adapter = Adapter::default();
+    let mut recorder = Recorder::new("shop", Duration::from_secs(1), true, now, clock::now_ms());
+    let (mut begun, mut longest) = (None, Duration::ZERO);
+    while now.elapsed() < MEASURED + Duration::from_secs(15) {
+        let at = Instant::now();
+        if begun.is_none() && now.elapsed() > Duration::from_secs(10) {
+            let acknowledged = shared.counts().acknowledged.load(Ordering::Relaxed);
+            begun = Some((at, cost()?.0, acknowledged));
+        }
+        let snapshots = shared.snapshots();
+        let events =
+            recorder.turn(&shared, &snapshots, (at, clock::now_ms()), &|it| println!("{it}"));
+        adapter.update(&snapshots, &events, clock::now_ms());
+        longest = longest.max(at.elapsed());
+        thread::sleep(Duration::from_millis(50));
+    }
+    let (begun, cpu_s, acknowledged) = begun.context("it has begun")?;
+    let (cpu_end_s, peak_mb) = cost()?;
+    let passed_s = begun.elapsed().as_secs_f64();
+    let counts = shared.counts();
+    let sent = counts.acknowledged.load(Ordering::Relaxed) - acknowledged;
+    let recorded = counts.recorded.load(Ordering::Relaxed);
+    let waiting = shared.spool().waiting();
+    println!(
+        "{BRIDGES} bridges: {peak_mb:.0} MB at most, {:.0} % of a core, {:.0} records a second acknowledged, \
+         {recorded} recorded, {waiting} waiting, the longest turn {longest:?}",
+        100.0 * (cpu_end_s - cpu_s) / passed_s,
+        sent as f64 / passed_s,
+    );
+    stop.store(true, Ordering::Relaxed);
+    mqtt.join().ok().context("the publisher")?;
+    feed.join().ok().context("the bridges")?;
+    ensure!(peak_mb <= MAX_MB, "{peak_mb} MB");
+    ensure!(sent as f64 >= 0.8 * BRIDGES as f64 * passed_s, "{sent} in {passed_s} s");
+    Ok(())
+}

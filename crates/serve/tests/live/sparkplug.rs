@@ -1,0 +1,146 @@
+//! What a Sparkplug host that others wrote makes of the publisher, from the birth to the death.
+
+use std::{
+    sync::atomic::Ordering,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+use serde_json::{Value, json};
+
+use crate::{
+    bridge::{self, Switches},
+    parts::{Host, Mosquitto, Start},
+};
+
+/// The growth of the paper's spindle 100 codes above its zero.
+const GROWN_UM: f64 = 12.3;
+
+fn is(kind: &str) -> impl Fn(&Value) -> bool + '_ {
+    move |it| it["what"] == kind
+}
+
+#[test]
+fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let broker = Mosquitto::start(folder.path(), "")?;
+    let mut host = Host::start(broker.port)?;
+    let switches = Switches::default();
+    let start = Start {
+        bridge: bridge::start(switches.clone()),
+        name: "mill-7".into(),
+        spool: folder.path().join("spool"),
+        url: broker.url(),
+        ..Start::default()
+    };
+    let mut publisher = start.spawn()?;
+
+    let (_, birth) = host.wait("the node's birth", is("NBIRTH"))?;
+    assert_eq!((&birth["node"], &birth["seq"]), (&json!("mill-7"), &json!(0)));
+    let number = birth["metrics"]["bdSeq"].clone();
+    assert!(number.is_u64(), "{birth}");
+    let (_, device) = host.wait("the device's birth", is("DBIRTH"))?;
+    let id = device["device"].as_str().context("a serial number")?.to_owned();
+    assert_eq!((id.len(), &device["metrics"]["Bridge/Up"]), (8, &json!(true)));
+    let (_, units) = host.wait("units", is("units"))?;
+    assert_eq!(units["units"]["Offset/Z"], "µm");
+    assert_eq!(units["units"]["Temperature/0"], "°C");
+
+    let near = |it: &Value| it.as_f64().is_some_and(|z| (z - GROWN_UM).abs() < 0.5);
+    host.wait("the offset of the grown spindle", |it| {
+        it["what"] == "DDATA" && near(&it["metrics"]["Offset/Z"])
+    })?;
+    host.wait("a row of it, recorded", |it| {
+        it["topic"] == format!("trueup/mill-7/{id}/record") && near(&it["metrics"]["Offset/Z"])
+    })?;
+
+    // A word that has changed does not wait for the second to pass.
+    let changed = Instant::now();
+    switches.is_disengaged.store(true, Ordering::Relaxed);
+    let (at, _) = host.wait_since(changed, "another quality", |it| {
+        it["what"] == "DDATA" && it["metrics"]["Bridge/Quality"] == "ramping-out"
+    })?;
+    println!("a quality arrives after {} ms", (at - changed).as_millis());
+    host.wait_since(changed, "the event of it", |it| {
+        it["topic"] == format!("trueup/mill-7/{id}/event")
+            && it["metrics"]["Event/Code"] == "quality"
+            && it["metrics"]["Event/About"] == "ramping-out"
+    })?;
+
+    let asked = Instant::now();
+    host.tell("rebirth mill-7")?;
+    let (_, again) = host.wait_since(asked, "a second birth", is("NBIRTH"))?;
+    assert_eq!((&again["seq"], &again["metrics"]["bdSeq"]), (&json!(0), &number));
+    host.wait_since(asked, "and of the device", is("DBIRTH"))?;
+
+    let off = Instant::now();
+    switches.is_off.store(true, Ordering::Relaxed);
+    let (_, death) = host.wait_since(off, "the death of the device", is("DDEATH"))?;
+    assert_eq!(death["device"], id);
+    let on = Instant::now();
+    switches.is_off.store(false, Ordering::Relaxed);
+    host.wait_since(on, "it is there again", is("DBIRTH"))?;
+
+    let killed = Instant::now();
+    publisher.kill();
+    let (_, death) = host.wait_since(killed, "the will", is("NDEATH"))?;
+    assert_eq!(death["metrics"]["bdSeq"], number, "of this connection");
+
+    // Each message of the device and of the node has the next number.
+    let said = host.said();
+    let mut expected = None;
+    for (_, it) in said.iter().filter(|(_, it)| it["seq"].is_u64()) {
+        let seq = it["seq"].as_u64();
+        let is_birth = it["what"] == "NBIRTH";
+        assert!(is_birth || seq == expected, "{it} after {expected:?}");
+        expected = seq.map(|seq| (seq + 1) % 256);
+    }
+
+    // A new connection has a new number, and who comes late sees the state.
+    let restarted = Instant::now();
+    let _publisher = start.spawn()?;
+    let (_, birth) = host.wait_since(restarted, "a new birth", is("NBIRTH"))?;
+    assert_eq!(birth["metrics"]["bdSeq"].as_u64(), number.as_u64().map(|it| (it + 1) % 256));
+    host.wait_since(restarted, "the device", is("DBIRTH"))?;
+    thread::sleep(Duration::from_millis(300));
+    let late = Host::start(broker.port)?;
+    let (_, state) = late.wait("the retained state", |it| {
+        it["topic"] == format!("trueup/mill-7/{id}/state") && it["retained"] == true
+    })?;
+    assert_eq!(state["metrics"]["Bridge/Up"], true);
+    Ok(())
+}
+
+#[test]
+fn without_its_primary_host_nothing_is_published_and_records_wait() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let broker = Mosquitto::start(folder.path(), "")?;
+    let mut host = Host::start(broker.port)?;
+    let start = Start {
+        bridge: bridge::start(Switches::default()),
+        name: "n".into(),
+        spool: folder.path().join("spool"),
+        url: broker.url(),
+        more: json!({ "primary_host": "scada", "row_ms": 100 }),
+    };
+    let _publisher = start.spawn()?;
+    thread::sleep(Duration::from_secs(3));
+    let all = host.said();
+    assert!(all.iter().all(|(_, it)| it["what"] == "connected"), "{all:?}");
+
+    host.tell("online scada")?;
+    host.wait("a birth", is("DBIRTH"))?;
+    let first = |it: &Value| it["id"].as_str().is_some_and(|id| id.ends_with("-1"));
+    host.wait("the first record, from before", first)?;
+    let left = Instant::now();
+    host.tell("offline scada")?;
+    let (died, _) = host.wait_since(left, "the death of the node", is("NDEATH"))?;
+    thread::sleep(Duration::from_secs(2));
+    let later = host.said();
+    let later = later.iter().filter(|(at, it)| *at > died && it["what"] != "NDEATH");
+    assert_eq!(later.filter(|(at, _)| *at - died > Duration::from_millis(300)).count(), 0);
+    host.tell("online scada")?;
+    host.wait_since(died, "a new birth", is("NBIRTH"))?;
+    Ok(())
+}
