@@ -29,6 +29,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("fleet server", "runs until Ctrl-C: fleet_nats.rs"),
     ("firmware ", "the tool of the tests carries no images: install.rs"),
     ("import ", "needs a table of the user's: import.rs"),
+    ("serve ", "needs a bridge and a broker: crates/serve/tests/live"),
 ];
 
 /// Files that the reader of a page has, and the example that stands for each.
