@@ -6,7 +6,7 @@ use std::{
     net::{TcpListener, TcpStream},
     path::Path,
     sync::{
-        Arc,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
     thread,
@@ -19,7 +19,7 @@ use trueup_core::{
     dimensions::CODES_PER_TICK,
     units::{Code, Position, Rpm},
 };
-use trueup_link::{frames, slcan::Port};
+use trueup_link::{frame::Frame, frames, layout::SDO_REQUEST_ID, slcan::Port};
 use trueup_machine::{MachineFile, compile};
 use trueup_node::node::{Line, Node};
 use trueup_store::calibration::decode;
@@ -33,6 +33,8 @@ pub struct Switches {
     pub is_disengaged: Arc<AtomicBool>,
     /// It is off: no client is served.
     pub is_off: Arc<AtomicBool>,
+    /// Frames of clients that are anything but a question for an object.
+    pub written: Arc<Mutex<Vec<Frame>>>,
 }
 
 /// Starts a bridge; returns its address.
@@ -67,7 +69,11 @@ fn live(listener: &TcpListener, switches: &Switches) {
             Some(Ok(0)) => client = None,
             Some(Ok(length)) => {
                 for frame in bytes[..length].iter().filter_map(|&byte| port.receive(byte)) {
-                    // Whoever only reads is refused nothing that matters here.
+                    // The commands of an upload: its start, and its segments.
+                    let is_question = matches!(frame.data()[0], 0x40 | 0x60 | 0x70);
+                    if frame.id() != SDO_REQUEST_ID || !is_question {
+                        switches.written.lock().expect("whole").push(frame);
+                    }
                     node.hear(Line::Serial, &frame).ok();
                 }
             }

@@ -97,6 +97,12 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
         expected = seq.map(|seq| (seq + 1) % 256);
     }
 
+    // It only reads, and while it does the bridge's thousand pairs a second go on.
+    assert_eq!(*switches.written.lock().expect("whole"), [], "it writes nothing to the bridge");
+    let lost = said.iter().filter_map(|(_, it)| it["metrics"]["Bridge/Lost frames"].as_u64()).max();
+    println!("{lost:?} of a thousand pairs a second were lost");
+    assert_eq!(lost, Some(0));
+
     // A new connection has a new number, and who comes late sees the state.
     let restarted = Instant::now();
     let _publisher = start.spawn()?;
