@@ -1,5 +1,6 @@
 //! `trueup linuxcnc`: the bridge as a component of LinuxCNC's HAL; its subcommands put it into a configuration.
 
+mod component;
 mod configure;
 mod running;
 

@@ -18,6 +18,29 @@ pub fn trueup() -> Result<PathBuf> {
     build("trueup-cli", "trueup")
 }
 
+/// Builds the static library of the bridge in LinuxCNC's servo thread, as a release has it, and gives its path.
+///
+/// # Errors
+/// It does not compile.
+pub fn servo_library() -> Result<PathBuf> {
+    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
+    let output = Command::new(cargo)
+        .args(["rustc", "--locked", "-p", "trueup-servo", "--lib", "--profile", "servo"])
+        .args(["--crate-type", "staticlib", "--message-format", "json-render-diagnostics"])
+        .args(["--", "--cfg", "trueup_library"])
+        .current_dir(setup::root())
+        .stderr(Stdio::inherit())
+        .output()?;
+    ensure!(output.status.success(), "trueup-servo does not build");
+    let messages = String::from_utf8(output.stdout)?;
+    messages
+        .lines()
+        .filter_map(|line| serde_json::from_str::<Value>(line).ok())
+        .filter(|message| message["target"]["name"] == "trueup_servo")
+        .find_map(|message| message["filenames"][0].as_str().map(PathBuf::from))
+        .with_context(|| "cargo does not say where the library is")
+}
+
 /// Builds a program of a package and gives its path, which is where cargo says that it is.
 ///
 /// # Errors

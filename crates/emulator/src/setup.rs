@@ -247,6 +247,31 @@ pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
     Ok(Some(LinuxCnc { program, _alone: alone }))
 }
 
+/// Makes sure that a component of LinuxCNC can be compiled here.
+///
+/// # Errors
+/// What is missing cannot be installed.
+pub fn linuxcnc_dev() -> Result<()> {
+    const PACKAGE: &str = "linuxcnc-uspace-dev";
+    let _alone = alone()?;
+    if process::find("halcompile").is_none() || process::find("make").is_none() {
+        install(&[PACKAGE, "make", "gcc"], "the makefile and headers of LinuxCNC")?;
+    }
+    Ok(())
+}
+
+/// Makes sure that valgrind is there, which counts instructions.
+///
+/// # Errors
+/// It is missing and cannot be installed.
+pub fn valgrind() -> Result<()> {
+    let _alone = alone()?;
+    if process::find("valgrind").is_none() {
+        install(&["valgrind"], "valgrind, to count instructions")?;
+    }
+    Ok(())
+}
+
 /// Returns the path of `log2asc`, one of the can-utils, for the tests of recordings.
 ///
 /// # Errors

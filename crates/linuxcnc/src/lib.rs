@@ -7,7 +7,7 @@
 //!  eoffset-request ─► follower ─► x-counts ─► axis.x.eoffset-counts
 //! ```
 //!
-//! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) takes time
+//! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) is `trueup-linuxcnc-core`: it takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
 //! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::line`] keeps the
 //! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,
@@ -26,26 +26,19 @@
 //! | the planner moves with `OFFSET_AV_RATIO` of the axis' speed and acceleration, by default 0 | read from the .ini, and warned of in words |
 //! | `axis.L.pos-cmd` is without the external offset | sent to the bridge as it is |
 
-pub mod component;
 pub mod configuration;
-pub mod engage;
-pub mod follower;
 pub mod hal;
 pub mod ini;
-pub mod joint;
-pub mod offsets;
 pub mod pins;
 pub mod record;
 pub mod run;
-pub mod sender;
 pub mod status;
 
-pub use component::{Component, Inputs, Options, Outputs};
+pub use trueup_linuxcnc_core::{
+    Component, Inputs, Options, Outputs, component, engage, follower, joint, offsets, sender,
+};
+
 pub use record::Record;
 pub use run::run;
 
-use trueup_core::units;
-
-/// Offsets are counted in nanometres, the user's limits in micrometres, the axes' speeds in mm.
-const NANOMETRES_PER_MICROMETRE: f64 = units::NANOMETRES_PER_MICROMETRE as f64;
-const NANOMETRES_PER_MILLIMETRE: f64 = 1e6;
+use trueup_linuxcnc_core::{NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE};

@@ -41,7 +41,7 @@ use crate::{
     configuration::wiring::LIMITER,
     follower::Reading,
     hal::{Hal, HalError, Pin},
-    joint::{JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS},
+    joint::{JointGoal, JointReading, JointSettings, MAX_JOINTS},
 };
 
 /// At the pin `tool`: nobody says which it is.
@@ -220,10 +220,10 @@ impl<'hal> Pins<'hal> {
     }
 
     /// Lets the offsets at the joints go on from what a component before this one has left.
-    pub fn resume(&self, offsets: &mut JointOffsets) {
+    pub fn resume(&self, component: &mut crate::Component) {
         for (index, joint) in self.joints.iter().enumerate() {
             if let Some(left) = joint.as_ref().and_then(|joint| joint.left) {
-                offsets.resume(index, left);
+                component.resume(index, left);
             }
         }
     }

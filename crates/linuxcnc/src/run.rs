@@ -74,7 +74,7 @@ pub fn run(
     let line = Line::keep(open);
     let start = Instant::now();
     let mut component = Component::new(start.elapsed(), *options);
-    pins.resume(&mut component.joints);
+    pins.resume(&mut component);
     let mut news = News::of(pinned.clone());
     hal.ready()?;
     if hal.adopts() {
@@ -241,7 +241,7 @@ impl News {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::component::{Inputs, tests::component};
+    use crate::{component::Inputs, follower::Pace, joint::MAX_JOINTS, offsets::Limits};
     use std::cell::Cell;
     use trueup_client::pinned::Rule;
     use trueup_core::{
@@ -255,6 +255,29 @@ mod tests {
     };
 
     const RUNNING: u32 = 0x1234_ABCD;
+
+    fn component() -> Component {
+        let pace = Pace {
+            slew_nm_per_s: 500e3,
+            cycle_s: 1e-3,
+            acceleration_nm_per_s2: f64::INFINITY,
+            planner_keeps_slew: true,
+        };
+        let limits = Limits {
+            max_nm: [200_000; 3],
+            stale: Duration::from_millis(100),
+            hold: Duration::from_millis(2_000),
+        };
+        let options = Options {
+            limits,
+            pace: [pace; 3],
+            position_period: Duration::from_millis(2),
+            sends_rotary: false,
+            against_um: [Some(0.0); 3],
+            joints: [None; MAX_JOINTS],
+        };
+        Component::new(Duration::ZERO, options)
+    }
 
     /// Returns what a component says of what was learned in five frames of `Control`, to a bridge that runs on
     /// `RUNNING`.

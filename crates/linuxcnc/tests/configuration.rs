@@ -45,6 +45,7 @@ const DEMAND: Demand = Demand {
     max_um: [200.0; 3],
     slew_um_per_s: 1_200.0,
     corrects_screw: Some([true; 3]),
+    no_board: None,
 };
 
 /// Returns an INI file of three axes that has all that is needed.
@@ -95,15 +96,18 @@ impl Case {
         machine: &str,
     ) -> Result<(Report, Vec<Change>), BadInput> {
         let (ini, hal) = self.read();
-        let bridge =
-            Bridge { port: port.into(), machine: Some(machine.into()), position_period_ms: 2 };
+        let bridge = Bridge {
+            port: Some(port.into()),
+            machine: Some(machine.into()),
+            position_period_ms: 2,
+        };
         install::setup(&ini, &hal, demand, &bridge)
     }
 
     fn write(changes: &[Change]) {
-        for Change { path, text } in changes {
-            match text {
-                Some(text) => fs::write(path, text).expect("writes"),
+        for Change { path, content } in changes {
+            match content {
+                Some(content) => fs::write(path, content).expect("writes"),
                 None => fs::remove_file(path).expect("removes"),
             }
         }
@@ -287,7 +291,7 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
 fn written(demand: &Demand, file: &str) -> String {
     let (_, changes) = Case::new(&whole(), HAL).set_up(demand).expect("reads");
     let change = changes.into_iter().find(|it| name(&it.path) == file);
-    change.and_then(|it| it.text).expect("written")
+    String::from_utf8(change.and_then(|it| it.content).expect("written")).expect("a text")
 }
 
 #[test]
@@ -353,7 +357,7 @@ fn setup_twice_is_setup_once_and_the_files_are_equal_to_the_byte_afterwards() {
             assert_eq!(case.set_up(&demand).expect("reads").1, []);
             // The other way, and back again.
             let other = if entry == Entry::Joint { Entry::Eoffset } else { Entry::Joint };
-            Case::write(&case.set_up(&Demand { entry: other, ..demand }).expect("reads").1);
+            Case::write(&case.set_up(&Demand { entry: other, ..demand.clone() }).expect("reads").1);
             assert_ne!(case.files(), once);
             Case::write(&case.set_up(&demand).expect("reads").1);
             assert_eq!(case.files(), once);

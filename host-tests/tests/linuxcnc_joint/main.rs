@@ -6,6 +6,7 @@
 
 mod events;
 mod fake_bridge;
+mod no_board;
 mod stock_files;
 
 use std::{

@@ -26,7 +26,20 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("analysis", &["fit", "diagnose", "learn", "compare", "accept", "page"]),
     (
         "tool",
-        &["cli", "client", "screen", "program", "export", "import", "linuxcnc", "gateway", "fleet", "serve"],
+        &[
+            "cli",
+            "client",
+            "screen",
+            "program",
+            "export",
+            "import",
+            "linuxcnc",
+            "linuxcnc-core",
+            "servo",
+            "gateway",
+            "fleet",
+            "serve",
+        ],
     ),
     (
         "bench",

@@ -15,6 +15,7 @@ use trueup_linuxcnc::configuration::{
     install::{self, Change},
     installed::{self, Bridge, Installed},
     joints,
+    no_board::NoBoard,
 };
 use trueup_linuxcnc::{
     joint::{JointSettings, MAX_JOINTS},
@@ -22,7 +23,10 @@ use trueup_linuxcnc::{
 };
 use trueup_machine::{Machine, check::Warning};
 
-use super::running;
+use super::{
+    component::{self, Component},
+    running,
+};
 use crate::{Outcome, UserError, files, output, report};
 
 /// How often positions are sent over a serial line or CAN.
@@ -60,6 +64,11 @@ pub enum Command {
     /// Written are two HAL files next to the INI file, and lines between marks in the INI file. A copy of each changed
     /// file is kept (FILE.trueup-backup). Exit 2: the check has found an error.
     Setup(Setup),
+    /// Builds and installs the realtime component of a bridge without a board, trueup_node.
+    ///
+    /// Needs Debian's linuxcnc-uspace-dev, and the library trueup_servo, which comes with trueup. Without --install the
+    /// component is left in the folder of --out.
+    Component(Component),
     /// Says what setup has written, and, while LinuxCNC runs, what the offsets do.
     ///
     /// Exit 3: not set up, not up to date, or without live offsets.
@@ -78,6 +87,9 @@ pub struct Check {
     /// The machine file that the bridge is loaded with: largest offset, slew limit, what it corrects.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
+    /// The bridge runs in LinuxCNC's servo thread, without a board.
+    #[arg(long)]
+    no_board: bool,
 }
 
 /// The configuration to be set up.
@@ -87,7 +99,7 @@ pub struct Setup {
     #[arg(value_name = "INI")]
     ini: PathBuf,
     /// Takes out what setup has written.
-    #[arg(long, conflicts_with_all = ["by", "machine", "port", "position_period_ms"])]
+    #[arg(long, conflicts_with_all = ["by", "machine", "port", "no_board", "position_period_ms"])]
     remove: bool,
     /// Where offsets enter. Without this as it is set up, else at the joint.
     #[arg(long, value_enum)]
@@ -95,7 +107,11 @@ pub struct Setup {
     /// The machine file that the bridge is loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
-    /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0. Needed the first time.
+    /// The bridge runs in LinuxCNC's servo thread, without a board: the machine file is compiled to
+    /// trueup_calibration.bin next to the INI file. Needs trueup linuxcnc component once on this computer.
+    #[arg(long, conflicts_with_all = ["port", "position_period_ms"])]
+    no_board: bool,
+    /// Where the bridge is: tcp:HOST:PORT, a serial device, or can0. Needed the first time, or --no-board.
     #[arg(long, value_name = "PORT")]
     port: Option<String>,
     /// How often the position of a moving axis is sent.
@@ -133,6 +149,17 @@ impl Configuration {
         by.map(Entry::from).or(here).or_else(by_hand).unwrap_or(Entry::Joint)
     }
 
+    /// Returns what is asked of the offsets: without a board if the user says so, or if it is set up so.
+    fn demand(
+        &self,
+        by: Option<By>,
+        no_board: bool,
+        machine: Option<&(String, Machine)>,
+    ) -> Result<Demand> {
+        let is_here = self.installed.as_ref().is_some_and(|it| it.bridge.port.is_none());
+        demand(self.entry(by), no_board || is_here, machine)
+    }
+
     /// Returns the machine file as the INI file names it, else as the user does.
     fn machine(&self, given: Option<&Path>) -> Result<Option<(String, Machine)>> {
         let here = || self.installed.as_ref().and_then(|it| it.bridge.machine.clone());
@@ -146,6 +173,19 @@ impl Configuration {
         };
         Ok(Some((name, files::machine(&path)?)))
     }
+}
+
+/// Returns what is asked of the offsets. Without a board the machine file is compiled here.
+fn demand(entry: Entry, no_board: bool, machine: Option<&(String, Machine)>) -> Result<Demand> {
+    let machine = machine.map(|it| &it.1);
+    let of_file = Demand::of(entry, machine);
+    if !no_board {
+        return Ok(of_file);
+    }
+    let Some(machine) = machine else {
+        return Err(UserError("--no-board needs the machine file: --machine M.toml".into()).into());
+    };
+    Ok(Demand { no_board: Some(NoBoard::of(machine)?), ..of_file })
 }
 
 /// LinuxCNC runs in the folder of the INI file: a file in it goes by its name, any other by its whole path.
@@ -172,6 +212,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Check(args) => checked(args, as_json),
         Command::Setup(args) if args.remove => removed(args, as_json),
         Command::Setup(args) => set_up(args, as_json),
+        Command::Component(args) => component::run(args, as_json),
         Command::Status(args) => status(args, as_json),
     }
 }
@@ -179,7 +220,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
 fn checked(args: &Check, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
     let machine = configuration.machine(args.machine.as_deref())?;
-    let demand = Demand::of(configuration.entry(args.by), machine.as_ref().map(|it| &it.1));
+    let demand = configuration.demand(args.by, args.no_board, machine.as_ref())?;
     let found = check::check(&configuration.ini, &configuration.hal, &demand);
     print_report(&found, &demand, as_json)?;
     Ok(if found.is_usable() { Outcome::Done } else { Outcome::NotMet })
@@ -230,18 +271,24 @@ fn print_findings(found: &Report) {
 fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
     let configuration = Configuration::read(&args.ini)?;
     let machine = configuration.machine(args.machine.as_deref())?;
-    let demand = Demand::of(configuration.entry(args.by), machine.as_ref().map(|it| &it.1));
+    let demand = match args.port {
+        // A board takes the place of none.
+        Some(_) => demand(configuration.entry(args.by), false, machine.as_ref())?,
+        None => configuration.demand(args.by, args.no_board, machine.as_ref())?,
+    };
     let before = configuration.installed.as_ref().map(|it| &it.bridge);
-    let port = args.port.clone().or_else(|| before.map(|it| it.port.clone()));
-    let Some(port) = port else {
+    let has_board = demand.no_board.is_none();
+    let port = args.port.clone().or_else(|| before.and_then(|it| it.port.clone()));
+    let port = port.filter(|_| has_board);
+    if has_board && port.is_none() {
         return Err(UserError(
             "--port is missing: where is the bridge? A serial device, tcp:HOST:PORT, or can0; `trueup bridge list` \
-             shows what is connected"
+             shows what is connected. Without a board: --no-board"
                 .into(),
         )
         .into());
-    };
-    Port::parse(&port)?;
+    }
+    port.as_deref().map(Port::parse).transpose()?;
     let period = args.position_period_ms.or(before.map(|it| it.position_period_ms));
     let bridge = Bridge {
         port,
@@ -290,8 +337,8 @@ fn names(changes: &[Change]) -> Vec<String> {
 }
 
 fn print_changes(changes: &[Change], nothing: &str) -> Result<()> {
-    for Change { path, text } in changes {
-        let done = if text.is_some() { "written" } else { "removed" };
+    for Change { path, content } in changes {
+        let done = if content.is_some() { "written" } else { "removed" };
         output::print(format!("{done}: {}", path.display()))?;
     }
     if changes.is_empty() { output::print(nothing) } else { Ok(()) }
@@ -300,9 +347,9 @@ fn print_changes(changes: &[Change], nothing: &str) -> Result<()> {
 /// Writes all of them or none.
 fn write(changes: &[Change]) -> Result<()> {
     let mut set = output::FileSet::new(&[]);
-    for Change { path, text } in changes {
-        match text {
-            Some(text) => set.text(path, text)?,
+    for Change { path, content } in changes {
+        match content {
+            Some(content) => set.add(path, |out| out.write_all(content))?,
             None => set.remove(path)?,
         }
     }
@@ -317,9 +364,13 @@ fn status(args: &Status, as_json: bool) -> Result<Outcome> {
     match installed {
         Some(Installed { entry, bridge }) => {
             let machine = bridge.machine.as_deref().unwrap_or("no machine file");
-            lines.push(format!("set up by {}: bridge at {}, {machine}", entry.name(), bridge.port));
+            let at = bridge
+                .port
+                .as_ref()
+                .map_or("without a board".into(), |it| format!("bridge at {it}"));
+            lines.push(format!("set up by {}: {at}, {machine}", entry.name()));
             let machine = configuration.machine(None)?;
-            let demand = Demand::of(*entry, machine.as_ref().map(|it| &it.1));
+            let demand = demand(*entry, bridge.port.is_none(), machine.as_ref())?;
             let (found, changes) = install::setup(ini, hal, &demand, bridge)?;
             print_findings(&found);
             if !found.is_usable() || !changes.is_empty() {

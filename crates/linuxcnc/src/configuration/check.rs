@@ -6,8 +6,8 @@ use super::{
     hal_files::HalFiles,
     ini_lines::IniLines,
     installed::by_hand,
-    joints::{ASSUMED, Headroom, Joint, REVERSAL_UM, SMALL, joints, reversal_s},
-    wiring,
+    joints::{ASSUMED, Headroom, Joint, REVERSAL_UM, SMALL, joints, ratio, reversal_s},
+    servo_lines, wiring,
 };
 use crate::ini::Ini;
 
@@ -79,6 +79,10 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
         Entry::Eoffset => at_axes(ini, &joints, &base, demand, &mut report),
     }
     soft_limits(ini, &joints, &base, demand, &mut report);
+    if let Some(no_board) = &demand.no_board {
+        servo_period(ini, &base, &mut report);
+        report.findings.extend(servo_lines::missing(no_board, ini, hal));
+    }
     // What is connected by hand occupies the pins that setup would take.
     if report.is_usable() && by_hand(ini, hal).is_none() {
         report.findings.extend(wiring::wiring(ini, hal, &joints, demand).err().unwrap_or_default());
@@ -132,6 +136,22 @@ fn base(ini: &IniLines, report: &mut Report) -> Option<Ini> {
         ));
     }
     Some(base)
+}
+
+/// The node's tick is a millisecond, and a servo period is half of one or some.
+fn servo_period(ini: &IniLines, base: &Ini, report: &mut Report) {
+    let us = (base.cycle_s * 1e6).round();
+    if ![500.0, 1_000.0, 2_000.0, 4_000.0].contains(&us) {
+        let place = ini.value("EMCMOT", "SERVO_PERIOD").map(|it| it.place);
+        report.findings.push(Finding::error(
+            place.unwrap_or_else(|| ini.place_of_section("EMCMOT")),
+            format!(
+                "[EMCMOT]SERVO_PERIOD = {} ns: without a board it is 0.5, 1, 2 or 4 ms",
+                us * 1e3
+            ),
+            "set it to 500000, 1000000, 2000000 or 4000000",
+        ));
+    }
 }
 
 /// LinuxCNC's own compensation of the screw, together with ours.
@@ -242,7 +262,7 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
         let stated = ini.value(&section, "OFFSET_AV_RATIO");
         let place =
             stated.as_ref().map_or_else(|| ini.place_of_section(&section), |it| it.place.clone());
-        let Some(proper) = wiring::ratio(motion.velocity_mm_per_s, demand.slew_um_per_s) else {
+        let Some(proper) = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s) else {
             let what = format!(
                 "[{section}]MAX_VELOCITY is missing: an external offset gets a share of it"
             );

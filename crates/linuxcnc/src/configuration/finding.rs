@@ -2,7 +2,7 @@
 
 use trueup_machine::{BadInput, Location, Machine};
 
-use super::Entry;
+use super::{Entry, no_board::NoBoard};
 
 /// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,7 +48,7 @@ impl From<BadInput> for Finding {
 }
 
 /// What is asked of the offsets.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Demand {
     /// Where they enter.
     pub entry: Entry,
@@ -58,6 +58,8 @@ pub struct Demand {
     pub slew_um_per_s: f64,
     /// True for each axis whose pitch or backlash the machine file corrects; `None` without a machine file.
     pub corrects_screw: Option<[bool; 3]>,
+    /// The bridge runs in the servo thread; `None`: on a board.
+    pub no_board: Option<NoBoard>,
 }
 
 impl Demand {
@@ -71,6 +73,7 @@ impl Demand {
                 .each_ref()
                 .map(|it| it.pitch.is_some() || it.backlash.is_some() || it.dual.is_some())
         });
-        Self { entry, max_um: limits.max_um, slew_um_per_s: limits.slew_um_per_s, corrects_screw }
+        let slew_um_per_s = limits.slew_um_per_s;
+        Self { entry, max_um: limits.max_um, slew_um_per_s, corrects_screw, no_board: None }
     }
 }

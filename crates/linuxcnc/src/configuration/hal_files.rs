@@ -103,6 +103,12 @@ impl HalFiles {
         self.late.iter().find(names).map(|command| command.place.clone())
     }
 
+    /// Returns true if a command of the HAL files names this signal.
+    #[must_use]
+    pub fn names(&self, signal: &str) -> bool {
+        self.commands.iter().any(|it| it.words.iter().skip(1).any(|word| word == signal))
+    }
+
     /// Returns the first command that loads this realtime module.
     #[must_use]
     pub fn loads(&self, module: &str) -> Option<&HalCommand> {

@@ -10,6 +10,7 @@ use std::{
 };
 
 use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+use trueup_store::calibration::whole;
 
 use super::{
     Entry,
@@ -18,7 +19,8 @@ use super::{
     hal_files::HalFiles,
     ini_lines::{BEGIN, END, IniLines, is_file},
     installed::{Bridge, SECTION, by_hand},
-    joints::joints,
+    joints::{joints, ratio},
+    no_board::CALIBRATION,
     wiring::{self, COMPONENT, REALTIME, WRITTEN},
 };
 use crate::ini::Ini;
@@ -31,8 +33,8 @@ const BACKUP: &str = ".trueup-backup";
 pub struct Change {
     /// Its path.
     pub path: PathBuf,
-    /// Its new text; `None`: it is removed.
-    pub text: Option<String>,
+    /// Its new content; `None`: it is removed.
+    pub content: Option<Vec<u8>>,
 }
 
 /// Returns the report of the check, and the files that setup changes; none if they are as they should be, or if the
@@ -54,7 +56,7 @@ pub fn setup(
             "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
         ));
     }
-    for (what, text) in [("port", Some(&bridge.port)), ("path", bridge.machine.as_ref())] {
+    for (what, text) in [("port", bridge.port.as_ref()), ("path", bridge.machine.as_ref())] {
         if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
             report.findings.push(Finding::error(
                 Location::start_of(ini.path()),
@@ -89,17 +91,22 @@ pub fn setup(
         ratios(ini, demand, &mut blocks)?;
     }
     let mut section = vec![format!("[{SECTION}]"), format!("BY = {}", demand.entry.name())];
-    section.push(format!("PORT = {}", bridge.port));
+    section.extend(bridge.port.iter().map(|port| format!("PORT = {port}")));
     section.extend(bridge.machine.iter().map(|machine| format!("MACHINE = {machine}")));
-    section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms));
+    match demand.no_board {
+        // LinuxCNC may be started from anywhere.
+        Some(_) => section.push(format!("CALIBRATION = {}", calibration(ini).display())),
+        None => section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms)),
+    }
     blocks.at_end.insert(ini.path().to_path_buf(), section);
     let mut changes = blocks.changes(ini)?;
     for (name, text) in [(REALTIME, wiring.realtime), (COMPONENT, wiring.component)] {
         let path = ini.folder().join(name);
         if !is_file(&path) || bounded::read_text(&path, MOST_BYTES)? != text {
-            changes.push(Change { path, text: Some(text) });
+            changes.push(Change { path, content: Some(text.into_bytes()) });
         }
     }
+    changes.extend(calibration_change(ini, demand.no_board.as_ref().map(|it| &it.blob))?);
     Ok((report, changes))
 }
 
@@ -112,10 +119,27 @@ pub fn remove(ini: &IniLines) -> Result<Vec<Change>, BadInput> {
     for name in [REALTIME, COMPONENT] {
         let path = ini.folder().join(name);
         if is_file(&path) && is_written_by_setup(&path)? {
-            changes.push(Change { path, text: None });
+            changes.push(Change { path, content: None });
         }
     }
+    changes.extend(calibration_change(ini, None)?);
     Ok(changes)
+}
+
+/// Returns where the calibration is written.
+fn calibration(ini: &IniLines) -> PathBuf {
+    let folder = ini.folder();
+    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(CALIBRATION)
+}
+
+/// Returns the change of the calibration's file, if it has to change. What is no calibration belongs to somebody else.
+fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
+    let path = calibration(ini);
+    let before = if is_file(&path) { Some(bounded::read(&path, MOST_BYTES)?) } else { None };
+    if before.as_ref() == blob || before.as_ref().is_some_and(|it| whole(it).is_err()) {
+        return Ok(None);
+    }
+    Ok(Some(Change { path, content: blob.cloned() }))
 }
 
 fn refusal(ini: &IniLines, findings: &[Finding]) -> BadInput {
@@ -140,7 +164,7 @@ fn ratios(ini: &IniLines, demand: &Demand, blocks: &mut Blocks) -> Result<(), Ba
         let header = ini.header_of(&section);
         let is_there = joints.iter().any(|joint| joint.axis == axis);
         if let (true, false, Some(header)) = (is_there, stated, header)
-            && let Some(ratio) = wiring::ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
+            && let Some(ratio) = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s)
         {
             blocks.after(&header, vec![format!("OFFSET_AV_RATIO = {ratio:.6}")]);
         }
@@ -174,9 +198,9 @@ impl Blocks {
             let mut copy = path.clone().into_os_string();
             copy.push(BACKUP);
             if !before.contains(BEGIN) {
-                changes.push(Change { path: copy.into(), text: Some(before) });
+                changes.push(Change { path: copy.into(), content: Some(before.into_bytes()) });
             }
-            changes.push(Change { path, text: Some(text) });
+            changes.push(Change { path, content: Some(text.into_bytes()) });
         }
         Ok(changes)
     }

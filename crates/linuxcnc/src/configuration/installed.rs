@@ -14,8 +14,8 @@ pub const SECTION: &str = "TRUEUP";
 /// Where the bridge is, and what it was loaded with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Bridge {
-    /// Port of the component.
-    pub port: String,
+    /// Port of the component; `None`: there is no board.
+    pub port: Option<String>,
     /// Machine file, as the INI file names it.
     pub machine: Option<String>,
     /// How often positions are sent.
@@ -37,12 +37,15 @@ impl Installed {
     pub fn of(ini: &IniLines) -> Option<Self> {
         let ours =
             |key| ini.value(SECTION, key).filter(|value| value.is_ours).map(|value| value.text);
+        // Either a board at a port, or none.
+        ours("PORT").or_else(|| ours("CALIBRATION"))?;
         Some(Self {
             entry: Entry::parse(&ours("BY")?)?,
             bridge: Bridge {
-                port: ours("PORT")?,
+                port: ours("PORT"),
                 machine: ours("MACHINE"),
-                position_period_ms: ours("POSITION_PERIOD_MS")?.parse().ok()?,
+                position_period_ms: ours("POSITION_PERIOD_MS")
+                    .map_or(Some(0), |it| it.parse().ok())?,
             },
         })
     }

@@ -20,6 +20,7 @@ pub const SMALL: f64 = 0.05;
 pub const REVERSAL_UM: f64 = 6.0;
 /// Joints move by this where the INI file states no `MAX_VELOCITY` or `MAX_ACCELERATION`, in machine units.
 const LINUXCNC_DEFAULT: f64 = 1.0;
+const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 const LETTERS: &str = "XYZABCUVW";
 
 /// What the drive of a joint has above what the planner uses.
@@ -87,6 +88,15 @@ pub fn reversal_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
     } else {
         way_mm / mm_per_s + mm_per_s / mm_per_s2
     }
+}
+
+/// Returns the `OFFSET_AV_RATIO` that lets an offset change by the slew limit and no faster.
+#[must_use]
+pub fn ratio(velocity_mm_per_s: Option<f64>, slew_um_per_s: f64) -> Option<f64> {
+    let velocity = velocity_mm_per_s.filter(|velocity| *velocity > 0.0)?;
+    let exact = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
+    // Down, so that LinuxCNC keeps the limit, but not to 0, which moves nothing.
+    Some(((exact * 1e6).floor() / 1e6).clamp(1e-6, 0.9))
 }
 
 /// Returns the joints of X, Y and Z in the order of their numbers.

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! [`ini_lines`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
-//! [`wiring`] writes HAL files, [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
+//! [`wiring`] writes HAL files, [`no_board`] knows what a bridge without a board needs, [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
 
 pub mod check;
 pub mod finding;
@@ -15,6 +15,8 @@ pub mod ini_lines;
 pub mod install;
 pub mod installed;
 pub mod joints;
+pub mod no_board;
+mod servo_lines;
 pub mod wiring;
 
 /// Where offsets enter LinuxCNC.

@@ -29,7 +29,10 @@ use super::{
     hal_files::{BadThread, CONTROLLER, HalFiles},
     ini_lines::IniLines,
     joints::Joint,
+    no_board::CALIBRATION,
+    servo_lines::{self, FUNCTION, MODULE, rounded},
 };
+use crate::ini::Ini;
 
 /// The HAL file that is loaded once.
 pub const REALTIME: &str = "trueup_realtime.hal";
@@ -79,15 +82,6 @@ pub struct Wiring {
     pub component: String,
 }
 
-/// Returns the `OFFSET_AV_RATIO` that lets an offset change by the slew limit and no faster.
-#[must_use]
-pub fn ratio(velocity_mm_per_s: Option<f64>, slew_um_per_s: f64) -> Option<f64> {
-    let velocity = velocity_mm_per_s.filter(|velocity| *velocity > 0.0)?;
-    let exact = slew_um_per_s / MICROMETRES_PER_MILLIMETRE / velocity;
-    // Down, so that LinuxCNC keeps the limit, but not to 0, which moves nothing.
-    Some(((exact * 1e6).floor() / 1e6).clamp(1e-6, 0.9))
-}
-
 /// Writes the HAL files.
 ///
 /// # Errors
@@ -99,7 +93,7 @@ pub fn wiring(
     demand: &Demand,
 ) -> Result<Wiring, Vec<Finding>> {
     let mut writer = Writer { ini, hal, findings: Vec::new() };
-    let realtime = writer.realtime(joints, demand.entry);
+    let realtime = writer.realtime(joints, demand);
     let component = writer.component(joints, demand);
     if writer.findings.is_empty() {
         Ok(Wiring { realtime, component })
@@ -114,15 +108,19 @@ pub fn wiring(
 pub fn by_hand(ini: &IniLines, hal: &HalFiles, joints: &[Joint], demand: &Demand) -> String {
     // What would be refused is in the user's hands.
     let mut writer = Writer { ini, hal, findings: Vec::new() };
-    let realtime = writer.realtime(joints, demand.entry);
+    let realtime = writer.realtime(joints, demand);
     let component = writer.component(joints, demand);
     let machine = match demand.corrects_screw {
         Some(_) => "MACHINE = machine.toml\n",
         None => "",
     };
+    let bridge = match demand.no_board {
+        Some(_) => format!("CALIBRATION = /FOLDER/{CALIBRATION}\n"),
+        None => "PORT = /dev/ttyUSB0\nPOSITION_PERIOD_MS = 2\n".into(),
+    };
     format!(
         "# In the INI file, after your own HALFILE lines:\n[HAL]\nHALFILE = {REALTIME}\nHALFILE = {COMPONENT}\n\
-         [TRUEUP]\nPORT = /dev/ttyUSB0\n{machine}POSITION_PERIOD_MS = 2\n\n\
+         [TRUEUP]\n{machine}{bridge}\n\
          # {REALTIME}; compare the positions of addf with `halcmd show thread`:\n{}\n# {COMPONENT}:\n{}",
         realtime.trim_start_matches(WRITTEN),
         component.trim_start_matches(WRITTEN)
@@ -136,7 +134,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    fn realtime(&mut self, joints: &[Joint], entry: Entry) -> String {
+    fn realtime(&mut self, joints: &[Joint], demand: &Demand) -> String {
         let mut text = format!("{WRITTEN}\n# Loaded once, after the machine's own files.\n");
         let (thread, functions) = self.hal.thread().unwrap_or_else(|BadThread(place)| {
             let place = place.unwrap_or_else(|| self.ini.place_of_section("HAL"));
@@ -147,8 +145,16 @@ impl Writer<'_> {
             ));
             ("servo-thread".into(), vec!["motion-command-handler".into(), CONTROLLER.into()])
         });
-        if entry == Entry::Joint {
-            self.at_joints(&mut text, joints, &thread, &functions);
+        if let Some(no_board) = &demand.no_board {
+            text += &servo_lines::load(no_board, self.ini, joints, demand);
+        }
+        match demand.entry {
+            Entry::Joint => self.at_joints(&mut text, joints, demand, &thread, &functions),
+            // The counts are read by the motion controller of the next period.
+            Entry::Eoffset if demand.no_board.is_some() => {
+                let _ = writeln!(text, "addf {FUNCTION} {thread}");
+            }
+            Entry::Eoffset => {}
         }
         self.watchdog(&mut text, &thread);
         self.messages(&mut text, &thread);
@@ -160,6 +166,7 @@ impl Writer<'_> {
         &mut self,
         text: &mut String,
         joints: &[Joint],
+        demand: &Demand,
         thread: &str,
         functions: &[String],
     ) {
@@ -188,6 +195,9 @@ impl Writer<'_> {
             let _ = writeln!(text, "addf {function} {thread} {position}");
             position += 1;
         };
+        if demand.no_board.is_some() {
+            add(FUNCTION.into());
+        }
         for function in ["read-inputs", "write-outputs"] {
             add(format!("{LIMITER}.{function}"));
         }
@@ -204,6 +214,7 @@ impl Writer<'_> {
         ] {
             let _ = writeln!(text, "setp {LIMITER}.{pin} {value}");
         }
+        let mm_per_unit = Ini::parse(&self.ini.text()).unwrap_or_default().mm_per_unit;
         for (channel, (joint, name)) in joints.iter().zip(&names).enumerate() {
             let number = joint.number;
             let [command, feedback] = ["cmd", "fb"].map(|end| self.signal_of_joint(joint, end));
@@ -218,6 +229,17 @@ impl Writer<'_> {
                  net {command} {name}.out\n\
                  net {feedback} => {name}.fb-in\n"
             );
+            if demand.no_board.is_some() {
+                let slew_mm_per_s = demand.slew_um_per_s / MICROMETRES_PER_MILLIMETRE;
+                let speed = joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
+                let _ = write!(
+                    text,
+                    "setp {LIMITER}.offset-vel-{channel} {}\n\
+                     setp {LIMITER}.offset-accel-{channel} {}\n",
+                    rounded(speed),
+                    rounded(joint.acceleration.left())
+                );
+            }
         }
     }
 
@@ -326,11 +348,18 @@ impl Writer<'_> {
             Some(_) => " --machine [TRUEUP](MACHINE)",
             None => "",
         };
-        let mut text = format!(
-            "{WRITTEN}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT}\n\n\
+        let mut text = if let Some(no_board) = &demand.no_board {
+            format!(
+                "{WRITTEN}\n# The wires of {MODULE}.\n\n{}",
+                servo_lines::wires(no_board, self.hal)
+            )
+        } else {
+            format!(
+                "{WRITTEN}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT}\n\n\
              loadusr -W trueup linuxcnc --by {} --port [TRUEUP](PORT) --position-period-ms [TRUEUP](POSITION_PERIOD_MS){machine} --log trueup.log\n\n",
-            entry.name()
-        );
+                entry.name()
+            )
+        };
         self.from(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
         self.from(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
         self.from(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
@@ -351,7 +380,7 @@ impl Writer<'_> {
             Entry::Joint => joints
                 .iter()
                 .enumerate()
-                .for_each(|(channel, joint)| self.joint_wires(&mut text, channel, joint)),
+                .for_each(|(channel, joint)| self.joint_wires(&mut text, channel, joint, demand)),
             Entry::Eoffset => self.eoffset_wires(&mut text, &axes),
         }
         let _ = write!(
@@ -371,15 +400,18 @@ impl Writer<'_> {
         text
     }
 
-    fn joint_wires(&mut self, text: &mut String, channel: usize, joint: &Joint) {
+    fn joint_wires(&mut self, text: &mut String, channel: usize, joint: &Joint, demand: &Demand) {
         let n = joint.number;
-        for (pin, of_limiter) in [
+        // The limits of speed and acceleration are set once without a board.
+        let driven = if demand.no_board.is_some() { 3 } else { 5 };
+        let pins = [
             ("offset", "offset-in"),
             ("min", "offset-min"),
             ("max", "offset-max"),
             ("vel", "offset-vel"),
             ("accel", "offset-accel"),
-        ] {
+        ];
+        for (pin, of_limiter) in pins.into_iter().take(driven) {
             let _ = writeln!(
                 text,
                 "net trueup-j{n}-{pin} trueup.0.joint-{n}-{pin} => {LIMITER}.{of_limiter}-{channel}"

@@ -8,7 +8,7 @@
 //!
 //! Valid is what [`OffsetReceiver`] lets through: both frames whole, new, in order, of one cycle.
 
-use std::time::Duration;
+use core::time::Duration;
 
 use trueup_core::cnc::{Output, Quality};
 use trueup_link::{
@@ -90,7 +90,7 @@ impl ReceivedOffsets {
         if let Some(mut offset) = available.map(|offset| offset.map(|axis| axis.0)) {
             self.followed = now;
             for (offset, max) in offset.iter_mut().zip(limits.max_nm) {
-                let held = (*offset).clamp(-max.max(0), max.max(0));
+                let held = (*offset).max(-max.max(0)).min(max.max(0));
                 self.clamped |= held != *offset;
                 *offset = held;
             }

@@ -18,8 +18,9 @@
 //! does to the offset, or the two would chase each other: for it, 1 µm and the most by which the
 //! machine's offset goes against a reversal; without a machine file only the command counts.
 
-use std::time::Duration;
+use core::time::Duration;
 
+use crate::rounding::{floor, round};
 use trueup_core::{
     cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
     learned::{Change, PARTS, named},
@@ -29,6 +30,9 @@ use trueup_link::{
     frame::Frame,
     frames::{self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, SPINDLE_PERIOD_MS},
 };
+
+/// The frames of one call: one of each kind at most.
+pub type Frames = heapless::Vec<Frame, 7>;
 
 /// What stands is sent this often: a bridge that was away has to learn where it is.
 const STANDING_PERIOD: Duration = Duration::from_millis(50);
@@ -159,7 +163,8 @@ impl Sender {
             control: Changing::default(),
             positions: Default::default(),
             courses: Default::default(),
-            reversals: against_um.map(|um| um.map(|um| position(um / 1_000.0).0 + REVERSAL)),
+            reversals: against_um
+                .map(|um| um.map(|um| position(um / 1_000.0).0.saturating_add(REVERSAL))),
             rotary: Changing::default(),
             spindle: Changing::default(),
             conditions: Changing::default(),
@@ -187,13 +192,13 @@ impl Sender {
     }
 
     /// Returns the frames that are due.
-    pub fn frames(&mut self, now: Duration, command: &Command) -> Vec<Frame> {
-        let mut due = Vec::new();
+    pub fn frames(&mut self, now: Duration, command: &Command) -> Frames {
+        let mut due = Frames::new();
         let control = Control { zero: self.zero(now, command.control.zero), ..command.control };
         let often = Duration::from_millis(CONTROL_PERIOD_MS.into());
         if let Some(counter) = self.control.due(now, control, Duration::ZERO, often) {
             let learned = self.learned(counter);
-            due.push(frames::control(Control { learned, ..control }, counter));
+            push(&mut due, frames::control(Control { learned, ..control }, counter));
         }
         for (place, axis) in LinearAxis::ALL.into_iter().enumerate() {
             if !command.position_mm[place].is_finite() || !command.offset_mm[place].is_finite() {
@@ -206,7 +211,7 @@ impl Sender {
             let there = AxisPosition { axis, position, direction };
             let period = self.position_period;
             if let Some(counter) = self.positions[place].due(now, there, period, STANDING_PERIOD) {
-                due.push(frames::position(there, counter));
+                push(&mut due, frames::position(there, counter));
             }
         }
         if self.sends_rotary && command.angles_deg.iter().all(|angle| angle.is_finite()) {
@@ -214,7 +219,7 @@ impl Sender {
             if let Some(counter) =
                 self.rotary.due(now, rotary, self.position_period, STANDING_PERIOD)
             {
-                due.push(frames::rotary(rotary, counter));
+                push(&mut due, frames::rotary(rotary, counter));
             }
         }
         let spindle = spindle(command.spindle_rpm, command.load_n);
@@ -223,13 +228,13 @@ impl Sender {
             && command.load_n.is_finite()
             && let Some(counter) = self.spindle.due(now, spindle, often, STANDING_PERIOD)
         {
-            due.push(frames::spindle(spindle, counter));
+            push(&mut due, frames::spindle(spindle, counter));
         }
         let often = Duration::from_millis(CONDITIONS_PERIOD_MS.into());
         if let Some(conditions) = command.conditions
             && let Some(counter) = self.conditions.due(now, conditions, often, often)
         {
-            due.push(frames::conditions(conditions, counter));
+            push(&mut due, frames::conditions(conditions, counter));
         }
         due
     }
@@ -237,34 +242,40 @@ impl Sender {
     /// `Zero` holds for a while after its edge, however short the pulse on the pin.
     fn zero(&mut self, now: Duration, pin: bool) -> bool {
         if pin && !self.zero_was {
-            self.zero_until = Some(now + ZERO_HOLDS);
+            self.zero_until = Some(now.saturating_add(ZERO_HOLDS));
         }
         self.zero_was = pin;
         pin || self.zero_until.is_some_and(|until| now < until)
     }
 }
 
+/// There is room for one of each kind.
+fn push(due: &mut Frames, frame: Frame) {
+    due.push(frame).ok();
+}
+
 /// Conversions saturate; what is not a number is not sent.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
 fn position(mm: f64) -> Position {
-    Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32)
+    Position(round(mm * f64::from(Position::PER_MILLIMETRE)) as i32)
 }
 
 /// Within one turn, −180 to 180.
 #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
 fn angle(deg: f64) -> MicroDegrees {
-    let within = (deg + 180.0).rem_euclid(360.0) - 180.0;
-    MicroDegrees((within * f64::from(MicroDegrees::PER_DEGREE)).round() as i32)
+    let within = deg - 360.0 * floor((deg + 180.0) / 360.0);
+    MicroDegrees(round(within * f64::from(MicroDegrees::PER_DEGREE)) as i32)
 }
 
 #[allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "they saturate")]
 fn spindle(rpm: f64, load_n: f64) -> Spindle {
-    Spindle { speed: Rpm(rpm.abs().round() as u16), load_n: load_n.round() as i16 }
+    Spindle { speed: Rpm(round(rpm.abs()) as u16), load_n: round(load_n) as i16 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::vec::Vec;
     use trueup_core::cnc::Command as Received;
     use trueup_link::receiver::Receiver;
 

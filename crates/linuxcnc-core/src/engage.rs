@@ -6,7 +6,7 @@
 //! and has been for as long as three frames take. A bridge that stays without an offset for another
 //! reason, a dead sensor, receives the same once a second: it changes nothing for it.
 
-use std::time::Duration;
+use core::time::Duration;
 
 /// Three `Control` frames, 20 ms apart, with as long again for a loop that comes late.
 const RELEASED: Duration = Duration::from_millis(120);
@@ -39,6 +39,7 @@ impl Engage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::vec::Vec;
 
     fn ms(ms: u64) -> Duration {
         Duration::from_millis(ms)

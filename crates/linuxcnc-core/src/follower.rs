@@ -24,7 +24,9 @@
 //!   would hurry by it afterwards; so it is given only where `OFFSET_AV_RATIO` has LinuxCNC itself keep the limit.
 //!   Where it has not, an offset follows at 1/(1 + 2aT/v) of the limit at least, never below half of it.
 
-use std::time::Duration;
+use core::time::Duration;
+
+use crate::rounding::{floor, trunc};
 
 /// A step that `eoffset-request` does not show after so long is taken back.
 const LOST_AFTER: Duration = Duration::from_secs(1);
@@ -60,7 +62,7 @@ impl Pace {
     /// the bridge's own slew limit is the one that counts.
     #[must_use]
     pub fn step(&self) -> f64 {
-        (self.slew_nm_per_s * self.cycle_s + NOISE).floor().max(1.0)
+        floor(self.slew_nm_per_s * self.cycle_s + NOISE).max(1.0)
     }
 
     /// Returns how far the request may run ahead of an offset that stands.
@@ -132,17 +134,17 @@ impl Follower {
         }
         if !self.was_ready {
             self.was_ready = true;
-            self.settled = now + SETTLE;
+            self.settled = now.saturating_add(SETTLE);
         }
         if let Some(pending) = self.pending {
             let change = reading.request_nm - pending.before;
             if (change - f64::from(pending.counts)).abs() < SAME {
                 self.lost = 0;
             } else if change.abs() >= SAME {
-                self.settled = now + SETTLE;
+                self.settled = now.saturating_add(SETTLE);
             } else if now.saturating_sub(pending.written) >= LOST_AFTER {
                 self.lost = self.lost.saturating_add(1);
-                self.settled = now + SETTLE;
+                self.settled = now.saturating_add(SETTLE);
                 self.pending = None;
                 return Step { counts: -pending.counts, ..told };
             } else {
@@ -165,11 +167,11 @@ impl Follower {
     fn next(&mut self, now: Duration, goal_nm: Option<i32>, reading: Reading, pace: &Pace) -> i32 {
         let Reading { request_nm: request, eoffset_nm: offset } = reading;
         let goal = goal_nm.map_or(request, f64::from);
-        let wanted = (goal - request).clamp(-pace.step(), pace.step());
+        let wanted = within(goal - request, -pace.step(), pace.step());
         let moved = (offset - self.offset_before) * wanted.signum();
-        let covers = if pace.planner_keeps_slew { moved.clamp(0.0, pace.step()) } else { 0.0 };
+        let covers = if pace.planner_keeps_slew { within(moved, 0.0, pace.step()) } else { 0.0 };
         let lead = pace.lead() + covers;
-        let next = (request + wanted).clamp(offset - lead, offset + lead);
+        let next = within(request + wanted, offset - lead, offset + lead);
         if (next - (request + wanted)).abs() < SAME {
             self.held_since = None;
         } else {
@@ -177,11 +179,16 @@ impl Follower {
         }
         // Towards zero; what LinuxCNC has added up is whole but for the noise of its arithmetic.
         let exact = next - request;
-        let whole = (exact + NOISE.copysign(exact)).trunc();
-        let whole = whole.clamp(f64::from(i32::MIN), f64::from(i32::MAX)) as i32;
+        let whole = trunc(exact + NOISE.copysign(exact));
+        let whole = within(whole, f64::from(i32::MIN), f64::from(i32::MAX)) as i32;
         if whole != 0 {
             self.offset_before = offset;
         }
         whole
     }
+}
+
+/// Holds a value between two others; unlike `clamp` it does not panic where they are not in order.
+fn within(value: f64, low: f64, high: f64) -> f64 {
+    value.max(low).min(high)
 }

@@ -1,34 +1,27 @@
 //! The component without its HAL: pins and frames in, pins and frames out.
 
-use std::time::Duration;
+use core::time::Duration;
 
 use trueup_core::{
     cnc::{Conditions, Control, Flags, Quality},
-    dimensions::CHANNELS,
     learned::PARTS,
 };
-use trueup_link::{
-    frame::Frame,
-    layout::STATUS_ID,
-    receiver::{Counters, StatusReceiver},
-    slcan::Event,
-    status::{Item, StateBits},
-};
+use trueup_link::{layout::STATUS_ID, receiver::Counters, slcan::Event, status::StateBits};
 
 use crate::{
     NANOMETRES_PER_MICROMETRE, NANOMETRES_PER_MILLIMETRE,
+    bridge_status::Status,
     engage::Engage,
     follower::{Follower, Pace, Reading},
     joint::{Applied, JointGoal, JointOffsets, JointReading, JointSettings, MAX_JOINTS, Step},
     offsets::{Limits, ReceivedOffsets, Target},
-    sender::{Command, Sender},
+    sender::{Command, Frames, Sender},
 };
 
 /// LinuxCNC has applied an offset when it is within this of it, in nanometres: the planner stops a
 /// thousandth of its step before its goal, and a wire bit is 10 nm.
 const APPLIED_WITHIN_NM: f64 = 20.0;
-/// Temperature channels of the bridge.
-pub const TEMPERATURES: usize = CHANNELS;
+pub use crate::bridge_status::TEMPERATURES;
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
 const STATUS_LASTS: Duration = Duration::from_millis(3_400);
 /// How often the heartbeat turns round.
@@ -134,47 +127,12 @@ pub struct Component {
     offsets: ReceivedOffsets,
     followers: [Follower; 3],
     /// At the joints, if any gets an offset.
-    pub(crate) joints: JointOffsets,
+    joints: JointOffsets,
     sender: Sender,
     engage: Engage,
     status: Status,
     was_away: bool,
     offset_nm: [i32; 3],
-}
-
-/// The newest of what the bridge says of itself, with its time.
-#[derive(Debug, Default)]
-struct Status {
-    receiver: StatusReceiver,
-    temperatures_c: [Option<(Duration, f64)>; TEMPERATURES],
-    elongation_um: Option<(Duration, f64)>,
-    state: StateBits,
-    calibration: Option<u32>,
-}
-
-impl Status {
-    fn hear(&mut self, now: Duration, frame: &Frame) {
-        let Ok(status) = self.receiver.accept(frame) else { return };
-        match status.item {
-            Item::Temperatures { pair, centi_c } => {
-                let both = self.temperatures_c.iter_mut().skip(2 * usize::from(pair));
-                for (place, centi) in both.zip(centi_c) {
-                    *place = centi.map(|centi| (now, f64::from(centi) / 100.0));
-                }
-            }
-            Item::Elongation(elongation) => {
-                self.elongation_um =
-                    elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
-            }
-            Item::State(state) => self.state = state,
-            Item::Calibration(crc) => self.calibration = Some(crc),
-            Item::Refused { .. }
-            | Item::Received { .. }
-            | Item::Board { .. }
-            | Item::Reset { .. }
-            | Item::Slope { .. } => {}
-        }
-    }
 }
 
 impl Component {
@@ -192,6 +150,11 @@ impl Component {
             was_away: false,
             offset_nm: [0; 3],
         }
+    }
+
+    /// Lets the offset of a joint go on from what a component before this one has left.
+    pub fn resume(&mut self, joint: usize, left: JointGoal) {
+        self.joints.resume(joint, left);
     }
 
     /// Says from now on what was learned, in the bridge's units, to a bridge that runs on the calibration with this
@@ -218,7 +181,7 @@ impl Component {
     }
 
     /// Returns one turn of the loop: what the pins are to say, and the frames to send.
-    pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Vec<Frame>) {
+    pub fn step(&mut self, now: Duration, inputs: &Inputs) -> (Outputs, Frames) {
         let ready = inputs.machine_on && inputs.homed;
         let limits = &self.options.limits;
         let target = self.offsets.target(now, limits);
@@ -327,6 +290,7 @@ impl Component {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use std::vec::Vec;
     use trueup_core::{
         cnc::{Command as Received, Output},
         units::Nanometres,
@@ -334,7 +298,7 @@ pub(crate) mod tests {
     use trueup_link::{
         frames::{offset_xy, offset_z},
         receiver::Receiver,
-        status,
+        status::{self, Item},
     };
 
     const SLEW: f64 = 500e3;

@@ -14,7 +14,7 @@
 //! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never further
 //! from the planner's machine than the offset of the axis; both are counted without the base.
 
-use std::time::Duration;
+use core::time::Duration;
 
 /// `moveoff` has this many joints.
 pub const MAX_JOINTS: usize = 9;
@@ -133,7 +133,9 @@ impl JointOffsets {
     /// Goes on from what a component before this one has left at the pins of `moveoff`.
     pub fn resume(&mut self, joint: usize, left: JointGoal) {
         let base_nm = f64::midpoint(left.min_nm, left.max_nm);
-        self.states[joint] = State { base_nm, offset_nm: left.offset_nm, ..State::default() };
+        if let Some(state) = self.states.get_mut(joint) {
+            *state = State { base_nm, offset_nm: left.offset_nm, ..State::default() };
+        }
     }
 
     /// Computes the goal of each joint.
@@ -147,24 +149,26 @@ impl JointOffsets {
         let mut applied = Applied::NOTHING;
         for (index, (joint, reading)) in joints.iter().zip(readings).enumerate() {
             let Some(joint) = joint else { continue };
-            let state = &mut self.states[index];
+            let Some(state) = self.states.get_mut(index) else { continue };
+            // There is no other axis, and the servo thread checks no index.
+            let axis = joint.axis.min(2);
             state.follow_reference(reading);
             state.hold(step.ready && !reading.homing, reading);
             if let (true, Some(goal)) = (state.follows, step.goal_nm) {
-                let goal = f64::from(goal[joint.axis]);
+                let goal = f64::from(goal[axis]);
                 let allowed = within_limits(goal, joint, reading);
                 applied.limited |= (allowed - goal).abs() > APPLIED_WITHIN_NM;
                 state.offset_nm = state.base_nm + allowed;
             }
-            let max = f64::from(step.max_nm[joint.axis].max(0));
+            let max = f64::from(step.max_nm[axis].max(0));
             goals[index] = JointGoal {
                 offset_nm: state.offset_nm,
                 min_nm: state.base_nm - max,
                 max_nm: state.base_nm + max,
             };
             let acts = reading.now_nm - state.base_nm;
-            if acts.abs() > applied.nm[joint.axis].abs() {
-                applied.nm[joint.axis] = acts;
+            if acts.abs() > applied.nm[axis].abs() {
+                applied.nm[axis] = acts;
             }
             applied.at_zero &= acts.abs() <= APPLIED_WITHIN_NM;
             applied.arrived &= (reading.now_nm - state.offset_nm).abs() <= APPLIED_WITHIN_NM;
@@ -218,7 +222,8 @@ fn within_limits(goal_nm: f64, joint: &JointSettings, reading: &JointReading) ->
         return goal_nm;
     }
     let [low, high] = joint.limits_nm.map(|limit| limit - reading.command_nm);
-    goal_nm.clamp(low.min(0.0), high.max(0.0))
+    // Not `clamp`, which panics where the limits are none.
+    goal_nm.max(low.min(0.0)).min(high.max(0.0))
 }
 
 #[cfg(test)]

@@ -1,0 +1,50 @@
+//! What the bridge says of itself in its `Status` frames.
+
+use core::time::Duration;
+
+use trueup_link::{
+    frame::Frame,
+    receiver::StatusReceiver,
+    status::{Item, StateBits},
+};
+
+use crate::NANOMETRES_PER_MICROMETRE;
+
+/// Temperature channels of the bridge.
+pub const TEMPERATURES: usize = trueup_core::dimensions::CHANNELS;
+
+/// The newest of what the bridge says of itself, with its time.
+#[derive(Debug, Default)]
+pub(crate) struct Status {
+    receiver: StatusReceiver,
+    pub(crate) temperatures_c: [Option<(Duration, f64)>; TEMPERATURES],
+    pub(crate) elongation_um: Option<(Duration, f64)>,
+    pub(crate) state: StateBits,
+    pub(crate) calibration: Option<u32>,
+}
+
+impl Status {
+    /// Takes a frame of `Status`.
+    pub(crate) fn hear(&mut self, now: Duration, frame: &Frame) {
+        let Ok(status) = self.receiver.accept(frame) else { return };
+        match status.item {
+            Item::Temperatures { pair, centi_c } => {
+                let both = self.temperatures_c.iter_mut().skip(2 * usize::from(pair));
+                for (place, centi) in both.zip(centi_c) {
+                    *place = centi.map(|centi| (now, f64::from(centi) / 100.0));
+                }
+            }
+            Item::Elongation(elongation) => {
+                self.elongation_um =
+                    elongation.map(|it| (now, f64::from(it.0) / NANOMETRES_PER_MICROMETRE));
+            }
+            Item::State(state) => self.state = state,
+            Item::Calibration(crc) => self.calibration = Some(crc),
+            Item::Refused { .. }
+            | Item::Received { .. }
+            | Item::Board { .. }
+            | Item::Reset { .. }
+            | Item::Slope { .. } => {}
+        }
+    }
+}

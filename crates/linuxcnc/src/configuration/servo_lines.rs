@@ -1,0 +1,143 @@
+//! The HAL lines of a bridge without a board: the component `trueup_node` in the servo thread.
+//!
+//! Analogue inputs and thermometers belong to the user's own HAL files. They bring them in by a name that is agreed on,
+//! and setup connects those signals that it finds:
+//!
+//! | signal | pin | what |
+//! |---|---|---|
+//! | `trueup-sensor-v` | `sensor-v` | the sensor, in volts |
+//! | `trueup-sensor-resolution` | `sensor-resolution-v` | smallest step of its source, in volts |
+//! | `trueup-temp-NN` | `temp-NN-in` | the temperature of channel NN of the machine file, in °C |
+//! | `trueup-temp-heartbeat` | `temp-heartbeat` | changes with each set of temperatures that a program gives |
+//! | `trueup-condition-NN` | `condition-NN` | the condition of bit NN |
+//! | `trueup-tool` | `tool` | number of the tool |
+//! | `trueup-load` | `load-n` | axial cutting force in N |
+//! | `trueup-angle-1`, `-2` | `angle-1`, `-2` | angles of the head axes in degrees |
+//! | `trueup-zero`, `trueup-confirm` | `zero`, `confirm` | the operator's buttons |
+//!
+//! A signal that nothing drives is 0, and so would be a temperature; so what is not there is not connected.
+
+use std::fmt::Write as _;
+
+use super::{
+    Entry,
+    finding::{Demand, Finding},
+    hal_files::HalFiles,
+    ini_lines::IniLines,
+    joints::{Joint, ratio},
+    no_board::{NamedInput, NoBoard},
+};
+use crate::ini::Ini;
+
+/// The realtime component.
+pub const MODULE: &str = "trueup_node";
+/// Its function.
+pub const FUNCTION: &str = "trueup.0";
+/// Temperatures of a program whose heartbeat stands for so long are missing.
+const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
+const UM_PER_MM: f64 = 1e3;
+/// Signals that are connected where they are, and missed nowhere.
+const OPTIONAL: [(&str, &str); 7] = [
+    ("trueup-sensor-resolution", "sensor-resolution-v"),
+    ("trueup-temp-heartbeat", "temp-heartbeat"),
+    ("trueup-load", "load-n"),
+    ("trueup-angle-1", "angle-1"),
+    ("trueup-angle-2", "angle-2"),
+    ("trueup-zero", "zero"),
+    ("trueup-confirm", "confirm"),
+];
+
+/// Returns a finding for each input of the machine file that no HAL file brings.
+pub(super) fn missing(no_board: &NoBoard, ini: &IniLines, hal: &HalFiles) -> Vec<Finding> {
+    let missing = no_board.inputs.iter().filter(|input| !hal.names(&input.signal));
+    let finding = |NamedInput { signal, name, example, .. }: &NamedInput| {
+        Finding::warning(
+            ini.place_of_section("HAL"),
+            format!(
+                "no HAL file has the signal {signal}, by which \"{name}\" of the machine file comes in"
+            ),
+            format!(
+                "connect the pin of your input in a HAL file of yours: net {signal} PIN (such as {example})"
+            ),
+        )
+    };
+    missing.map(finding).collect()
+}
+
+/// Returns the lines that load the component and set it.
+pub(super) fn load(
+    no_board: &NoBoard,
+    ini: &IniLines,
+    joints: &[Joint],
+    demand: &Demand,
+) -> String {
+    let mut text = format!("\nloadrt {MODULE} file=[TRUEUP](CALIBRATION)");
+    if demand.entry == Entry::Joint {
+        let _ = write!(text, " joints={}", letters(joints));
+    }
+    if no_board.has_head {
+        text.push_str(" rotary=1");
+    }
+    text.push('\n');
+    let mut set = |pin: &str, value: f64| {
+        let _ = writeln!(text, "setp {FUNCTION}.{pin} {}", rounded(value));
+    };
+    let base = Ini::parse(&ini.text()).unwrap_or_default();
+    set("mm-per-unit", base.mm_per_unit);
+    if let Some(codes) = no_board.codes_per_v {
+        set("sensor-codes-per-v", codes);
+    }
+    for (axis, letter) in ["x", "y", "z"].iter().enumerate() {
+        set(&format!("{letter}-against-um"), no_board.against_um[axis]);
+        if demand.entry == Entry::Eoffset {
+            let motion = &base.axes[axis];
+            let section = format!("AXIS_{}", letter.to_ascii_uppercase());
+            let stated = ini.value(&section, "OFFSET_AV_RATIO").is_some_and(|it| !it.is_ours);
+            let proper = ratio(motion.velocity_mm_per_s, demand.slew_um_per_s);
+            let ratio = if stated { motion.ratio } else { proper.unwrap_or_default() };
+            let acceleration = motion.acceleration_mm_per_s2.unwrap_or_default() * ratio;
+            set(&format!("{letter}-accel"), acceleration / base.mm_per_unit);
+            let most = motion.velocity_mm_per_s.unwrap_or_default() * ratio * UM_PER_MM;
+            let keeps = most > 0.0 && most <= demand.slew_um_per_s;
+            set(&format!("{letter}-keeps-slew"), f64::from(u8::from(keeps)));
+        }
+    }
+    if demand.entry == Entry::Joint {
+        for joint in joints {
+            for (limit, end) in joint.limits.iter().zip(["min", "max"]) {
+                if let Some(limit) = limit {
+                    set(&format!("joint-{}-{end}-limit", joint.number), *limit);
+                }
+            }
+        }
+    }
+    text
+}
+
+/// Returns the lines that connect the inputs which HAL files bring.
+pub(super) fn wires(no_board: &NoBoard, hal: &HalFiles) -> String {
+    let mut text = String::new();
+    let named = no_board.inputs.iter().map(|it| (it.signal.as_str(), it.pin.as_str()));
+    for (signal, pin) in named.chain(OPTIONAL).filter(|(signal, _)| hal.names(signal)) {
+        let _ = writeln!(text, "net {signal} => {FUNCTION}.{pin}");
+    }
+    if hal.names("trueup-temp-heartbeat") {
+        let _ = writeln!(text, "setp {FUNCTION}.temp-timeout-ms {TEMPERATURE_TIMEOUT_MS}");
+    }
+    text
+}
+
+/// Rounds to 10⁻⁹: what is beyond is arithmetic.
+pub(super) fn rounded(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9
+}
+
+/// Returns a letter for each joint, in the order of their numbers; a dot for one without an offset.
+fn letters(joints: &[Joint]) -> String {
+    let last = joints.iter().map(|joint| joint.number).max().unwrap_or_default();
+    let letter = |number: usize| {
+        let joint = joints.iter().find(|joint| joint.number == number);
+        joint.map_or('.', |joint| ['X', 'Y', 'Z'][joint.axis])
+    };
+    (0..=last).map(letter).collect()
+}

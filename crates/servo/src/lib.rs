@@ -1,0 +1,28 @@
+//! The bridge without a board: its node runs in the servo thread of LinuxCNC.
+//!
+//! ```text
+//!  HAL pins ─► hal/trueup_node.c ─► abi ─► servo ─► sensor, temperature ─► node (the board's application)
+//!  HAL pins ◄─ hal/trueup_node.c ◄─ abi ◄─────── component ◄─ frames ◄──────┘
+//! ```
+//!
+//! The node is the same as on the board, and so is what LinuxCNC does with its offsets (`trueup-linuxcnc-core`): both
+//! exchange the frames of the link, within one call a servo period ([`servo`]). What a board measures, analogue inputs of
+//! LinuxCNC measure here: [`sensor`] makes codes of volts, [`temperature`] the deliveries of thermometers of degrees.
+//!
+//! The crate is linked as a static library to a component in C, which has the pins ([`abi`], the only file with `unsafe`).
+//! Nothing in a servo period allocates, makes a system call or panics, and every loop has a bound.
+#![no_std]
+#![deny(unsafe_code)]
+
+pub mod abi;
+pub mod component;
+#[cfg(trueup_library)]
+mod library;
+pub mod sensor;
+pub mod servo;
+pub mod temperature;
+
+#[cfg(test)]
+extern crate std;
+
+pub use servo::{Inputs, Outputs, Servo, Settings};

@@ -1,0 +1,376 @@
+//! A servo period of the bridge without a board: pins in, pins out.
+//!
+//! ```text
+//!  pins ─► component ─ frames ─► node ─ tick, service ─ frames ─► component ─► pins, a period later
+//! ```
+//!
+//! A tick of the node is a millisecond. What a servo period is to it:
+//!
+//! | servo period | ticks |
+//! |---|---|
+//! | 0.5 ms | one every second period, with a sample of each |
+//! | 1 ms | one |
+//! | 2, 4 ms | two, four, with the same sample |
+//!
+//! Other periods are refused: no tick runs, and the reason is said ([`Refusal`]).
+//!
+//! A joint of LinuxCNC follows the command of its axis two periods later, and an offset takes one from the position to the
+//! joint. So where offsets enter at the joints, a position waits for a period, and its offset acts together with it.
+
+use core::time::Duration;
+
+use trueup_core::{
+    bridge::Input, channels::RawTemperatures, cnc::Conditions, dimensions::CHANNELS,
+    thermometer::Raw,
+};
+use trueup_link::slcan::Event;
+use trueup_linuxcnc_core::{
+    NANOMETRES_PER_MILLIMETRE,
+    component::{self, Component, Options},
+    follower::{Pace, Reading},
+    joint::{JointReading, JointSettings, MAX_JOINTS},
+    offsets,
+};
+use trueup_node::node::{Line, Node};
+use trueup_store::calibration::{self, BlobError, identity};
+
+use crate::{
+    sensor::{Samples, SensorScale},
+    temperature::Channel,
+};
+
+pub use trueup_linuxcnc_core::component::Outputs;
+
+/// The bridge is next door: silence for so long is a fault of this program.
+const STALE: Duration = Duration::from_millis(100);
+const NS_PER_US: u64 = 1_000;
+const US_PER_TICK: u64 = 1_000;
+/// LinuxCNC rounds a period to its timer.
+const PERIOD_WITHIN_NS: u64 = 1_000;
+/// Supported servo periods.
+const PERIODS_US: [u64; 4] = [500, 1_000, 2_000, 4_000];
+
+/// How the component is set: what setup has written into the HAL file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Millimetres in a machine unit.
+    pub mm_per_unit: f64,
+    /// The input of the sensor.
+    pub sensor: SensorScale,
+    /// True if angles are given.
+    pub sends_rotary: bool,
+    /// The most by which the offset of X, Y and Z goes against a reversal, in µm; not a number where that is not known.
+    pub against_um: [f64; 3],
+    /// Acceleration of LinuxCNC's planner for the external offsets of X, Y and Z, in machine units per second².
+    pub acceleration: [f64; 3],
+    /// LinuxCNC itself lets these offsets change no faster than the slew limit (`OFFSET_AV_RATIO`).
+    pub planner_keeps_slew: [bool; 3],
+    /// The joints at which offsets enter; none: as external offsets of the axes.
+    pub joints: [Option<Joint>; MAX_JOINTS],
+    /// Temperatures that are given by a program count as missing when its heartbeat stands for so long; 0: never.
+    pub temperature_timeout_ms: u32,
+}
+
+/// A joint at which an offset enters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Joint {
+    /// Index of its axis: X, Y, Z.
+    pub axis: usize,
+    /// Least and largest position of the drive, in machine units.
+    pub limits: [f64; 2],
+}
+
+/// What the pins say. Lengths are in machine units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Inputs {
+    /// The operator wants offsets.
+    pub enable: bool,
+    /// LinuxCNC's motion is enabled.
+    pub machine_on: bool,
+    /// All joints are homed.
+    pub homed: bool,
+    /// The operator takes the present error as the reference.
+    pub zero: bool,
+    /// The operator answers the question that the bridge asks.
+    pub confirm: bool,
+    /// Commanded positions of X, Y and Z, without the external offset.
+    pub position: [f64; 3],
+    /// `axis.L.eoffset-request` of X, Y and Z.
+    pub request: [f64; 3],
+    /// `axis.L.eoffset` of X, Y and Z.
+    pub eoffset: [f64; 3],
+    /// Commanded angles of the head axes in degrees.
+    pub angles_deg: [f64; 2],
+    /// Spindle speed in r/min.
+    pub spindle_rpm: f64,
+    /// Axial cutting force in N.
+    pub load_n: f64,
+    /// The tool; below 0: not known.
+    pub tool: i32,
+    /// A bit for each condition.
+    pub conditions: u16,
+    /// Offset that acts at each joint.
+    pub joint_now: [f64; MAX_JOINTS],
+    /// Commanded position of each joint.
+    pub joint_command: [f64; MAX_JOINTS],
+    /// LinuxCNC's reference of each joint.
+    pub joint_reference: [f64; MAX_JOINTS],
+    /// A bit for each joint that is homed now.
+    pub joint_homing: u16,
+    /// The sensor, in volts; not a number: none.
+    pub sensor_v: f64,
+    /// Temperatures of the channels in °C; not a number: none.
+    pub temperature_c: [f64; CHANNELS],
+    /// Changes with each set of temperatures, where a program gives them.
+    pub temperature_heartbeat: bool,
+}
+
+/// Why nothing runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refusal {
+    /// The calibration is not one.
+    Calibration(BlobError),
+    /// The servo period, in ns, is none of 0.5, 1, 2 and 4 ms.
+    Period(u64),
+}
+
+/// The node and the component, between two servo periods.
+#[derive(Debug)]
+pub struct Servo {
+    node: Node<'static>,
+    component: Component,
+    settings: Settings,
+    channels: [Channel; CHANNELS],
+    /// CRC of the calibration.
+    calibration: u32,
+    /// Where X, Y and Z were commanded a period ago.
+    position_before: Option<[f64; 3]>,
+    samples: Samples,
+    temperatures: RawTemperatures,
+    /// Which channel is converted next.
+    turn: usize,
+    heartbeat: bool,
+    since_heartbeat_us: u64,
+    now_us: u64,
+    /// Time of a tick that has passed already.
+    pending_us: u64,
+}
+
+/// Returns the ticks' time of a servo period.
+///
+/// # Errors
+/// [`Refusal::Period`].
+pub fn period_us(period_ns: u64) -> Result<u64, Refusal> {
+    let near = |us: &&u64| period_ns.abs_diff(us.saturating_mul(NS_PER_US)) <= PERIOD_WITHIN_NS;
+    PERIODS_US.iter().find(near).copied().ok_or(Refusal::Period(period_ns))
+}
+
+impl Servo {
+    /// Returns a bridge that has just been switched on.
+    ///
+    /// # Errors
+    /// The calibration or the servo period is refused.
+    pub fn new(blob: &'static [u8], settings: &Settings, period_ns: u64) -> Result<Self, Refusal> {
+        let period_us = period_us(period_ns)?;
+        let blob = calibration::whole(blob).map_err(Refusal::Calibration)?;
+        let law = calibration::decode(blob).map_err(Refusal::Calibration)?;
+        let mut channels = [Channel::Unused; CHANNELS];
+        for (channel, thermometer) in channels.iter_mut().zip(&law.thermometers) {
+            *channel = Channel::of(thermometer.as_ref());
+        }
+        let limits = law.limits;
+        let nm = |units: f64| units * settings.mm_per_unit * NANOMETRES_PER_MILLIMETRE;
+        let cycle = Duration::from_micros(period_us);
+        let slew = Pace {
+            slew_nm_per_s: limits.slew_nm_per_s.into(),
+            cycle_s: period_us as f64 * 1e-6,
+            acceleration_nm_per_s2: f64::INFINITY,
+            planner_keeps_slew: false,
+        };
+        let mut pace = [slew; 3];
+        let of_axes = settings.acceleration.iter().zip(settings.planner_keeps_slew);
+        for (pace, (acceleration, planner_keeps_slew)) in pace.iter_mut().zip(of_axes) {
+            pace.planner_keeps_slew = planner_keeps_slew;
+            if *acceleration > 0.0 {
+                pace.acceleration_nm_per_s2 = nm(*acceleration);
+            }
+        }
+        let mut joints = [None; MAX_JOINTS];
+        for (number, (place, joint)) in joints.iter_mut().zip(&settings.joints).enumerate() {
+            *place = joint.map(|joint| JointSettings {
+                number,
+                axis: joint.axis,
+                limits_nm: joint.limits.map(nm),
+                // The limits of `moveoff` are set by the HAL file.
+                mm_per_s: 0.0,
+                mm_per_s2: 0.0,
+            });
+        }
+        let options = Options {
+            limits: offsets::Limits {
+                max_nm: limits.max.map(|max| max.0),
+                stale: STALE,
+                hold: Duration::from_millis(limits.hold_ms.into()),
+            },
+            pace,
+            position_period: cycle,
+            sends_rotary: settings.sends_rotary,
+            against_um: settings.against_um.map(|um| um.is_finite().then_some(um)),
+            joints,
+        };
+        let mut node = Node::new(Some(law), false);
+        node.set_blob(blob);
+        Ok(Self {
+            node,
+            component: Component::new(Duration::ZERO, options),
+            settings: *settings,
+            channels,
+            calibration: identity(blob),
+            position_before: None,
+            samples: Samples::default(),
+            temperatures: [Raw::NONE; CHANNELS],
+            turn: 0,
+            heartbeat: false,
+            since_heartbeat_us: 0,
+            now_us: 0,
+            pending_us: 0,
+        })
+    }
+
+    /// Returns the node.
+    #[must_use]
+    pub fn node(&self) -> &Node<'static> {
+        &self.node
+    }
+
+    /// Returns the node, to start it with what was retained.
+    pub fn node_mut(&mut self) -> &mut Node<'static> {
+        &mut self.node
+    }
+
+    /// Returns the nanometres in a machine unit.
+    #[must_use]
+    pub fn nm_per_unit(&self) -> f64 {
+        self.settings.mm_per_unit * NANOMETRES_PER_MILLIMETRE
+    }
+
+    /// Returns the CRC of the calibration.
+    #[must_use]
+    pub fn calibration(&self) -> u32 {
+        self.calibration
+    }
+
+    /// Runs a servo period.
+    ///
+    /// # Errors
+    /// [`Refusal::Period`]: nothing has run.
+    pub fn step(&mut self, inputs: &Inputs, period_ns: u64) -> Result<Outputs, Refusal> {
+        let period_us = period_us(period_ns)?;
+        self.sample(inputs, period_us);
+        let now = Duration::from_micros(self.now_us);
+        let position = self.position_before.replace(inputs.position).filter(|_| self.is_at_joint());
+        let position = position.unwrap_or(inputs.position);
+        let (mut outputs, frames) =
+            self.component.step(now, &self.component_inputs(inputs, position));
+        outputs.calibration = Some(self.calibration);
+        for frame in &frames {
+            // What is refused is counted, and the node's status says so.
+            self.node.hear(Line::Can, frame).ok();
+        }
+        self.now_us = self.now_us.saturating_add(period_us);
+        self.pending_us = self.pending_us.saturating_add(period_us);
+        while self.pending_us >= US_PER_TICK {
+            self.pending_us = self.pending_us.saturating_sub(US_PER_TICK);
+            self.tick(inputs);
+        }
+        Ok(outputs)
+    }
+
+    fn is_at_joint(&self) -> bool {
+        self.settings.joints.iter().any(Option::is_some)
+    }
+
+    /// Takes the samples of this period.
+    fn sample(&mut self, inputs: &Inputs, period_us: u64) {
+        let parts = if period_us < US_PER_TICK { 2 } else { 1 };
+        let part = usize::from(self.pending_us > 0);
+        self.samples.take(inputs.sensor_v, &self.settings.sensor, part, parts);
+        self.since_heartbeat_us = self.since_heartbeat_us.saturating_add(period_us);
+        if inputs.temperature_heartbeat != self.heartbeat {
+            self.heartbeat = inputs.temperature_heartbeat;
+            self.since_heartbeat_us = 0;
+        }
+    }
+
+    /// Runs a tick of the node, and lets the component receive what it sends.
+    fn tick(&mut self, inputs: &Inputs) {
+        let timeout_us =
+            u64::from(self.settings.temperature_timeout_ms).saturating_mul(US_PER_TICK);
+        let is_late = timeout_us > 0 && self.since_heartbeat_us > timeout_us;
+        // One channel a tick: a temperature is slow.
+        self.turn =
+            if self.turn.saturating_add(1) < CHANNELS { self.turn.saturating_add(1) } else { 0 };
+        if let Some(((place, channel), celsius)) = self
+            .temperatures
+            .iter_mut()
+            .zip(&self.channels)
+            .zip(&inputs.temperature_c)
+            .nth(self.turn)
+        {
+            *place = if is_late { Raw::NONE } else { channel.delivery(*celsius) };
+        }
+        let input = Input {
+            codes: self.samples.codes(),
+            speed: None,
+            temperatures: Some(&self.temperatures),
+        };
+        let now = Duration::from_micros(self.now_us);
+        for frame in self.node.tick(1, input) {
+            self.component.hear(now, &Event::Frame(frame));
+        }
+        if let Some(frame) = self.node.service() {
+            self.component.hear(now, &Event::Frame(frame));
+        }
+    }
+
+    fn component_inputs(&self, inputs: &Inputs, position: [f64; 3]) -> component::Inputs {
+        let mm_per_unit = self.settings.mm_per_unit;
+        let nm = |units: f64| units * mm_per_unit * NANOMETRES_PER_MILLIMETRE;
+        let mut readings = [Reading::default(); 3];
+        for (reading, (request, eoffset)) in
+            readings.iter_mut().zip(inputs.request.iter().zip(&inputs.eoffset))
+        {
+            *reading = Reading { request_nm: nm(*request), eoffset_nm: nm(*eoffset) };
+        }
+        let mut joints = [JointReading::default(); MAX_JOINTS];
+        let pins = inputs.joint_now.iter().zip(&inputs.joint_command).zip(&inputs.joint_reference);
+        for (number, (joint, ((now, command), reference))) in
+            joints.iter_mut().zip(pins).enumerate()
+        {
+            *joint = JointReading {
+                now_nm: nm(*now),
+                command_nm: nm(*command),
+                reference_nm: nm(*reference),
+                homing: inputs.joint_homing >> number & 1 == 1,
+            };
+        }
+        component::Inputs {
+            enable: inputs.enable,
+            machine_on: inputs.machine_on,
+            homed: inputs.homed,
+            zero: inputs.zero,
+            // Nothing is written to a node without a board.
+            service: false,
+            confirm: inputs.confirm,
+            position_mm: position.map(|units| units * mm_per_unit),
+            readings,
+            joints,
+            angles_deg: inputs.angles_deg,
+            spindle_rpm: inputs.spindle_rpm,
+            load_n: inputs.load_n,
+            conditions: u16::try_from(inputs.tool)
+                .ok()
+                .map(|tool| Conditions { tool, bits: inputs.conditions }),
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Temperatures in °C, as the deliveries of the thermometers that the calibration knows.
+//!
+//! LinuxCNC's inputs give degrees, whatever measures them; the calibration has a law for what the board's channels
+//! deliver. So a temperature goes backwards through that law: R(t) of IEC 60751 for a PT100, t·(counts per kelvin) + zero
+//! for a linear chain. What comes out of the node's law is the temperature again, to 0.002 mK for a PT100 and to a
+//! 512th of a count for a chain.
+
+use trueup_core::{
+    thermometer::{Raw, Thermometer},
+    units::Temperature,
+};
+
+/// IEC 60751: A per kelvin, B per kelvin², C per kelvin⁴ (below 0 °C).
+const A: f64 = 3.9083e-3;
+const B: f64 = -5.775e-7;
+const C: f64 = -4.183e-12;
+const MICROOHMS_AT_ZERO: f64 = 1e8;
+/// Beyond this either way a thermometer has failed, and no polynomial of it means anything.
+const REACH_C: f64 = 1_000.0;
+
+/// How a channel is made of degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Channel {
+    /// No thermometer of the calibration.
+    Unused,
+    /// A platinum resistance.
+    Pt100,
+    /// A linear chain: its delivery at 0 °C, and for a kelvin.
+    Linear {
+        /// In 1/256 counts.
+        zero: f64,
+        /// In 1/256 counts a kelvin.
+        per_kelvin: f64,
+    },
+}
+
+impl Channel {
+    /// Returns how this thermometer is made of degrees.
+    #[must_use]
+    pub fn of(thermometer: Option<&Thermometer>) -> Self {
+        match thermometer {
+            None => Self::Unused,
+            Some(Thermometer::Pt100) => Self::Pt100,
+            Some(Thermometer::Linear { slope: 0, .. }) => Self::Unused,
+            Some(Thermometer::Linear { zero, slope, shift }) => {
+                let scale =
+                    f64::from(1_u32.wrapping_shl((*shift).min(Thermometer::MAX_SHIFT).into()));
+                let per_kelvin = f64::from(Temperature::PER_KELVIN) * scale / f64::from(*slope);
+                Self::Linear { zero: f64::from(*zero), per_kelvin }
+            }
+        }
+    }
+
+    /// Returns what the thermometer delivers at a temperature; nothing where that is not a number.
+    #[must_use]
+    pub fn delivery(&self, celsius: f64) -> Raw {
+        if !celsius.is_finite() || celsius.abs() > REACH_C {
+            return Raw::NONE;
+        }
+        let exact = match *self {
+            Self::Unused => return Raw::NONE,
+            Self::Linear { zero, per_kelvin } => zero + celsius * per_kelvin,
+            Self::Pt100 => {
+                let t = celsius;
+                let below = if t < 0.0 { C * (t - 100.0) * t * t * t } else { 0.0 };
+                MICROOHMS_AT_ZERO * (1.0 + A * t + B * t * t + below)
+            }
+        };
+        let half = 0.5_f64.copysign(exact);
+        // The smallest number is that of no delivery.
+        #[allow(clippy::cast_possible_truncation, reason = "a cast of a float saturates")]
+        Raw(((exact + half) as i32).max(i32::MIN.saturating_add(1)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nodes_law_gives_the_temperature_back() {
+        let chains = [
+            (Thermometer::Pt100, -59.0, 399.0, 0.003),
+            (Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 }, 0.0, 450.0, 0.13),
+            (Thermometer::Linear { zero: 90_000, slope: -32_768_000, shift: 12 }, -40.0, 40.0, 1.1),
+        ];
+        for (thermometer, from, to, within_mk) in chains {
+            let channel = Channel::of(Some(&thermometer));
+            for step in 0..10_000 {
+                let celsius = from + (to - from) * f64::from(step) / 10_000.0;
+                let read = thermometer.read(channel.delivery(celsius)).expect("a temperature");
+                let mk = f64::from(read.0) / f64::from(Temperature::PER_MILLIKELVIN);
+                assert!(
+                    (mk - celsius * 1e3).abs() <= within_mk,
+                    "{thermometer:?}: {celsius} °C, {mk} mK"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_temperature_delivers_nothing() {
+        for channel in [Channel::Pt100, Channel::Linear { zero: 0.0, per_kelvin: 1.0 }] {
+            for celsius in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e9, -1e9] {
+                assert_eq!(channel.delivery(celsius), Raw::NONE);
+            }
+        }
+        assert_eq!(Channel::of(None).delivery(20.0), Raw::NONE);
+        assert_eq!(
+            Channel::Linear { zero: 0.0, per_kelvin: -1e9 }.delivery(999.0),
+            Raw(i32::MIN + 1)
+        );
+    }
+}

@@ -1,0 +1,176 @@
+//! The bridge without a board in the real LinuxCNC: the component is built and installed by `trueup linuxcnc component`,
+//! a stock configuration is checked and set up, and LinuxCNC corrects itself in its servo thread.
+
+use std::{
+    fs,
+    io::{BufRead as _, BufReader},
+    path::Path,
+    sync::mpsc::{self, Receiver},
+    thread,
+};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_emulator::{
+    linuxcnc::headless::{DISPLAY, Headless, Sampler},
+    programs,
+    setup::{self, LinuxCnc},
+};
+
+use super::{
+    stock_files::{OWN, ini},
+    texts, tool,
+};
+
+/// A screw whose error rises and falls by 100 µm every 10 mm, backlash, and a sensor.
+const MACHINE: &str = "\
+[machine]
+name = \"stock\"
+kind = \"3-axis\"
+[inputs]
+sensor = { volts_full_scale = 10.0, counts_full_scale = 32768, divider = 0.328 }
+[spindle]
+source = \"sensor\"
+[spindle.sensor]
+k0_um = 0.0
+zero_counts = 5048.0
+um_per_count = 0.0152587890625
+[axis.x.pitch]
+start_mm = -50.0
+step_mm = 10.0
+forward_um = [0.0, 100.0, 0.0, 100.0, 0.0, 100.0, 0.0, 100.0, 0.0, 100.0, 0.0]
+[axis.y.backlash]
+width_um = 6.0
+[limits]
+max_um = { x = 200.0, y = 200.0, z = 500.0 }
+slew_um_per_s = 1200.0
+link_timeout_ms = 500
+hold_ms = 2000
+";
+/// The sensor: 1.54 V are the zero of the machine file, and each 0.01 V is half a micrometre; its noise is a quick sine.
+const SENSOR: &str = "\
+loadrt siggen
+addf siggen.0.update servo-thread
+setp siggen.0.frequency 171.3
+setp siggen.0.amplitude 0.002
+setp siggen.0.offset 1.5405273
+net trueup-sensor-v siggen.0.sine
+";
+/// A servo period.
+#[derive(Clone, Copy, Debug)]
+struct Cycle {
+    x_mm: f64,
+    goal_um: f64,
+    now_um: f64,
+}
+
+/// Returns the error of X, in µm.
+fn error_um(x_mm: f64) -> f64 {
+    let place = (x_mm + 50.0).rem_euclid(20.0);
+    if place <= 10.0 { 10.0 * place } else { 200.0 - 10.0 * place }
+}
+
+/// Builds and installs the component.
+fn install(folder: &Path) -> Result<()> {
+    setup::linuxcnc_dev()?;
+    let (library, out) = (programs::servo_library()?, folder.join("trueup_node"));
+    let (library, out) = (library.to_string_lossy(), out.to_string_lossy());
+    let words = ["linuxcnc", "component", "--out", &out, "--library", &library, "--install"];
+    ensure!(tool(&words, 0)?.contains("installed: trueup_node"), "it says so");
+    Ok(())
+}
+
+/// Starts a stock configuration, which is checked, set up, taken out to the byte, and set up again.
+fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headless> {
+    let folder = Headless::new_folder()?;
+    let path = |name: &str| folder.path().join(name);
+    let here = folder.path().to_str().context("a temporary folder has a plain name")?;
+    let period = format!("SERVO_PERIOD = {period_us}000");
+    let text = ini().replace("FOLDER", here).replace("SCREEN", DISPLAY);
+    fs::write(path("stock.ini"), text.replace("SERVO_PERIOD = 1000000", &period))?;
+    fs::write(path("own.hal"), format!("{OWN}{SENSOR}"))?;
+    fs::write(path("sim.tbl"), "")?;
+    fs::write(path("machine.toml"), MACHINE)?;
+    install(folder.path())?;
+    let (ini, machine) = (path("stock.ini"), path("machine.toml"));
+    let (ini, machine) = (ini.to_string_lossy(), machine.to_string_lossy());
+    let before = texts(folder.path())?;
+    let said =
+        tool(&["linuxcnc", "check", &ini, "--by", by, "--machine", &machine, "--no-board"], 0)?;
+    ensure!(by != "joint" || said.contains("a reversal of 6 um takes 11.0 ms"), "{said}");
+    let setup = ["linuxcnc", "setup", &ini, "--by", by, "--machine", &machine, "--no-board"];
+    tool(&setup, 0)?;
+    let blob = path("trueup_calibration.bin");
+    ensure!(blob.is_file(), "the calibration is written");
+    ensure!(tool(&setup, 0)?.contains("nothing was changed"), "setup twice changes nothing");
+    tool(&["linuxcnc", "setup", &ini, "--remove"], 0)?;
+    ensure!(texts(folder.path())? == before, "taken out, the files are the same to the byte");
+    ensure!(!blob.is_file(), "and the calibration is gone");
+    tool(&setup, 0)?;
+    Headless::start(folder, "stock.ini", control)
+}
+
+/// Waits until offsets are live and act.
+fn is_live(cnc: &mut Headless) -> Result<()> {
+    cnc.switch_on()?;
+    let names = ["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"];
+    cnc.wait("the offsets are live", 20, &names, |seen| seen == [1.0, 1.0, 0.0])
+}
+
+/// Records X, what the component asks for, and what acts.
+fn record(cnc: &mut Headless) -> Result<(Sampler, Receiver<Cycle>)> {
+    for (pin, signal) in ["trueup-j0-cmd", "trueup-j0-offset", "trueup-j0-now"].iter().enumerate() {
+        cnc.halcmd(&format!("net {signal} => sampler.0.pin.{pin}"))?;
+    }
+    let (sampler, lines) = cnc.sample()?;
+    let (sender, cycles) = mpsc::channel();
+    thread::spawn(move || {
+        for line in BufReader::new(lines).lines().map_while(Result::ok) {
+            let words: Vec<f64> =
+                line.split_whitespace().filter_map(|it| it.parse().ok()).collect();
+            let [_, x_mm, goal, now, ..] = words[..] else { continue };
+            if sender.send(Cycle { x_mm, goal_um: goal * 1e3, now_um: now * 1e3 }).is_err() {
+                return;
+            }
+        }
+    });
+    Ok((sampler, cycles))
+}
+
+/// Returns by how many servo periods an offset follows the position, and how far it is from it then, in µm RMS.
+fn lag(cycles: &[Cycle], offset_um: fn(&Cycle) -> f64) -> (usize, f64) {
+    let rms = |lag: usize| {
+        let moved = cycles.windows(2).map(|two| (two[1].x_mm - two[0].x_mm).abs() > 1e-3);
+        let rows = cycles.iter().enumerate().skip(lag + 1).zip(moved.skip(lag));
+        let squares: Vec<f64> = rows
+            .filter(|(_, moves)| *moves)
+            .map(|((at, cycle), _)| (offset_um(cycle) + error_um(cycles[at - lag].x_mm)).powi(2))
+            .collect();
+        (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+    };
+    let all: Vec<(usize, f64)> = (0..10).map(|lag| (lag, rms(lag))).collect();
+    all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default()
+}
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let mut cnc = start(control, "joint", 1_000)?;
+    let (_sampler, cycles) = record(&mut cnc)?;
+    is_live(&mut cnc)?;
+    // Taken here, the sensor's elongation is the reference: Z stays.
+    cnc.act("mdi", "text", "G53 G0 X-44")?;
+    cycles.try_iter().for_each(drop);
+    for x in [44, -44, 44] {
+        cnc.act("mdi", "text", format!("G53 G1 F1500 X{x}"))?;
+    }
+    let cycles: Vec<Cycle> = cycles.try_iter().collect();
+    let (goal, act) = (lag(&cycles, |it| it.goal_um), lag(&cycles, |it| it.now_um));
+    println!(
+        "{} cycles; asked for {goal:?} and acting {act:?} (periods, um RMS) after the position",
+        cycles.len()
+    );
+    ensure!(cycles.len() > 5_000 && goal.0 == 0 && goal.1 < 0.05, "{goal:?}");
+    ensure!(act.0 <= 1 && act.1 < 0.1, "{act:?}");
+    cnc.end()
+}
