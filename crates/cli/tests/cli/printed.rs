@@ -23,6 +23,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("bridge list", "what this computer has: wire.rs"),
     ("bridge ", "needs a bridge: tour.rs, bridge.rs, host-tests"),
     ("gateway ", "needs a bridge and a PLC: host-tests"),
+    ("linuxcnc component", "needs LinuxCNC's compiler of components: host-tests"),
     ("linuxcnc status", "needs a LinuxCNC that runs: host-tests"),
     ("linuxcnc --port", "is a component of LinuxCNC: host-tests"),
     ("doctor", "what this computer has"),
@@ -47,6 +48,9 @@ const OF_READER: &[(&str, &str)] = &[
 fn elsewhere(command: &str) -> Option<&'static str> {
     if command.contains(" --nats ") {
         return Some("needs a NATS server: fleet_nats.rs");
+    }
+    if command.ends_with(" --no-board") {
+        return Some("needs the component of LinuxCNC: host-tests");
     }
     let line = format!("{command}\n");
     ELSEWHERE.iter().find(|(begin, _)| line.starts_with(begin)).map(|(_, why)| *why)
