@@ -92,6 +92,12 @@ enum Command {
         #[arg(long, default_value_t = 300)]
         circles: u32,
     },
+    /// Draws machines with all errors of a volume, and prints how much of the error `trueup fit volume` takes away.
+    Volumes {
+        /// How many.
+        #[arg(long, default_value_t = 100)]
+        volumes: u32,
+    },
     /// Lets the simulated bridge live through faults and restarts for a thousand million ticks, 12 days of
     /// a board.
     Soak {
@@ -210,6 +216,7 @@ fn main() -> ExitCode {
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Circles { circles } => campaign::circles(circles),
+        Command::Volumes { volumes } => campaign::volumes(volumes),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))

@@ -72,6 +72,18 @@ pub fn circles(count: u32) -> Result<()> {
     process::run(&mut test)
 }
 
+/// Draws this many machines with all errors of a volume, and prints how much of the error is gone at other places.
+///
+/// # Errors
+/// It does not build, too little is gone, or intervals do not hold.
+pub fn volumes(count: u32) -> Result<()> {
+    let mut test = cargo::locked("test");
+    test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "volume", "--"])
+        .args(["--ignored", "--exact", "campaign::campaign_100_drawn_machines", "--nocapture"])
+        .env("TRUEUP_VOLUMES", count.to_string());
+    process::run(&mut test)
+}
+
 /// Lets each of the fuzz targets run for this many minutes, one on each core at a time; prints how many inputs
 /// each has had.
 ///

@@ -4,6 +4,7 @@ mod args;
 mod circle;
 mod report;
 mod table1;
+mod volume;
 
 use std::{
     borrow::Cow,
@@ -43,6 +44,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let common = match &args.kind {
         Kind::Table1(args) => return table1::run(args, as_json),
         Kind::Circle(args) => return circle::run(args, as_json),
+        Kind::Volume(args) => return volume::run(args, as_json),
         Kind::Straightness(Straightness { common, .. })
         | Kind::Pitch(Pitch { common, .. })
         | Kind::Backlash(Backlash { common, .. })
@@ -54,7 +56,7 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
     let bytes: u64 = common.measured.run.iter().map(|path| runs::bytes(path)).sum();
     let spinner = spinner("fitting", bytes);
     let report = match &args.kind {
-        Kind::Table1(_) | Kind::Circle(_) => unreachable!("has returned"),
+        Kind::Table1(_) | Kind::Circle(_) | Kind::Volume(_) => unreachable!("has returned"),
         Kind::Straightness(args) => straightness_of(&input, args)?,
         Kind::Pitch(args) => pitch_of(&input, args)?,
         Kind::Backlash(args) => backlash_of(&input, args)?,

@@ -71,6 +71,10 @@ const EXAMPLES: &[(&str, &str)] = &[
         "trueup fit circle --run mill/circle-ccw.csv --run mill/circle-cw.csv --machine mill/mill.toml -o fitted.toml --out circle",
     ),
     (
+        "fit volume",
+        "trueup fit volume --run balls.csv --run diagonals.csv --machine machine.toml -o fitted.toml --instrument-um 1 --scale-um-per-m 1",
+    ),
+    (
         "fit table1",
         "trueup fit table1 --run mill/straightness-x.csv --run mill/straightness-y.csv --run mill/diagonal-xy.csv --axis z -o table1.html",
     ),

@@ -51,7 +51,7 @@ pub struct Program {
     /// How long the axes stand for a reading, in s.
     #[arg(long, value_name = "S", default_value_t = Options::default().dwell_s)]
     dwell_s: f64,
-    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 6 rounds of heat.
+    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, 6 rounds of heat.
     #[arg(long, value_name = "N")]
     repeats: Option<u32>,
     /// From target to target, in mm.
@@ -92,6 +92,8 @@ enum What {
     AxisHeat,
     /// Two axes at once: what all corrections together leave.
     Diagonal,
+    /// The four body diagonals in steps of one axis at a time, for a laser: `fit volume`.
+    StepDiagonal,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -148,6 +150,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         What::Warmup => Kind::Warmup,
         What::AxisHeat => Kind::AxisHeat,
         What::Diagonal => Kind::Diagonal,
+        What::StepDiagonal => Kind::StepDiagonal,
     };
     let control = args.control.control();
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));

@@ -38,7 +38,7 @@
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 554 |
+//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 604 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
 //! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |

@@ -46,6 +46,12 @@ const OFFSET_DECIMALS: usize = 8;
 const ANGLE_DECIMALS: usize = 11;
 const POSITION_DECIMALS: usize = 7;
 
+/// What no description says, and how to try it: part of the report and of the file itself.
+const ASSUMED: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has them, without negate; angles act about machine \
+                       zero; a wrong sign doubles the errors";
+const TRY: &str = "before cutting: read an indicator at the point where the file has its largest value, compensation off, then on; the \
+                   error must go, and if it doubles set negate";
+
 /// A file as the control holds it: the columns of each block by their names.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Compensation {
@@ -172,7 +178,7 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     };
     let (all_drives, all_crosses) = (drives(machine, options), crosses(machine));
     let mut text = format!(
-        "// volumetric compensation of {}: errors, mm and rad over mm\n",
+        "// volumetric compensation of {}: errors, mm and rad over mm\n// {ASSUMED}\n// {TRY}\n",
         machine.name.escape_default()
     );
     let mut blocks = 0;
@@ -224,7 +230,8 @@ pub(crate) fn export(machine: &Machine, options: &Options, export: &mut Export) 
     export
         .report
         .note("take the tables of pitch and straightness out of the axes: this file has them");
-    export.report.note("check one point with an indicator before cutting: the sign is that of ISO 230-1, without negate");
+    export.report.note(ASSUMED);
+    export.report.note(TRY);
 }
 
 /// Returns the travel, else as far as angles and curves reach.

@@ -52,6 +52,7 @@ pub mod written;
 
 use trueup_machine::{BadInput, Machine, RunFile, file::write::Edit};
 
+pub(crate) use self::read::read as records;
 pub use self::{
     figures::Figures,
     findings::{Cause, Finding},

@@ -16,6 +16,7 @@
 //! | [`warmup`] | fits `[spindle.warmup]` |
 //! | [`thermal`] | fits `[axis.x.thermal]` |
 //! | [`circle`] | radial deviations of a circle as causes, ISO 230-4 |
+//! | [`volume`] | the 21 errors of three axes, and lines of rotary axes |
 //! | [`curve`] | a straightness run as a report and a section |
 //! | [`known`] | what the rest of the machine file says of a run, to be taken off |
 //! | [`report`] | the shape that every fit's outcome has |
@@ -33,6 +34,7 @@ pub mod report;
 mod rows;
 pub mod straightness;
 pub mod thermal;
+pub mod volume;
 pub mod warmup;
 
 pub use report::{Fact, Parameter, Report, SetAside, Spread, Verdict};

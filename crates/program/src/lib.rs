@@ -53,6 +53,8 @@ pub enum Kind {
     AxisHeat,
     /// Two axes at once: what all corrections together leave.
     Diagonal,
+    /// The four body diagonals, one axis at a time.
+    StepDiagonal,
 }
 
 /// Returns the plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
@@ -72,6 +74,7 @@ pub fn plans(
         Kind::Warmup => kind::warmup::plans(machine, options),
         Kind::AxisHeat => kind::axis_heat::plans(machine, options),
         Kind::Diagonal => kind::diagonal::plans(machine, options),
+        Kind::StepDiagonal => kind::step_diagonal::plans(machine, options),
     }?;
     plans
         .iter_mut()

@@ -6,8 +6,15 @@ use support::{machine, parse, with_z};
 use trueup_machine::file::LinearAxis;
 use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plan::Step, plans, template};
 
-const KINDS: [Kind; 6] =
-    [Kind::Backlash, Kind::Pitch, Kind::Straightness, Kind::Warmup, Kind::AxisHeat, Kind::Diagonal];
+const KINDS: [Kind; 7] = [
+    Kind::Backlash,
+    Kind::Pitch,
+    Kind::Straightness,
+    Kind::Warmup,
+    Kind::AxisHeat,
+    Kind::Diagonal,
+    Kind::StepDiagonal,
+];
 
 fn of(kind: Kind, options: &Options) -> Vec<Plan> {
     plans(kind, &machine(), options).expect("it fits").0
@@ -250,6 +257,29 @@ fn a_diagonal_ends_at_the_corners() {
         let [Some(x), Some(y), None] = reading.position_mm else { panic!("{reading:?}") };
         assert!(((x - 50.0) / 900.0 - (y + 270.0) / 540.0).abs() < 1e-5, "{reading:?}");
     }
+}
+
+#[test]
+fn a_step_diagonal_moves_one_axis_at_a_time_between_opposite_corners() {
+    let made = of(Kind::StepDiagonal, &with_z());
+    let names: Vec<&str> = made.iter().map(|plan| plan.name.as_str()).collect();
+    assert_eq!(names.len(), 4, "{names:?}");
+    let mut ways = std::collections::BTreeSet::new();
+    for plan in &made {
+        let readings = plan.readings();
+        let there = &readings[..readings.len() / 2];
+        let [first, last] =
+            [there[0], there[there.len() - 1]].map(|it| it.position_mm.map(Option::unwrap));
+        // The tool comes in last, and goes out first.
+        assert!(first[2] > last[2], "{}", plan.name);
+        ways.insert([0, 1].map(|n| last[n] > first[n]));
+        for pair in there.windows(2) {
+            let moved = (0..3).filter(|n| pair[0].position_mm[*n] != pair[1].position_mm[*n]);
+            assert_eq!(moved.count(), 1, "{pair:?}");
+        }
+        assert!(plan.then.starts_with("trueup fit volume --run step-diagonal-1-xyz.csv"));
+    }
+    assert_eq!(ways.len(), 4, "{ways:?}");
 }
 
 #[test]

@@ -33,6 +33,9 @@ pub enum Kind {
     /// `[squareness]`, `[axis.x.backlash]`, `[axis.x.pitch]` and `[straightness.y_of_x]` by a ball bar or an indicator on a circle: the
     /// causes of its form, the figures of ISO 230-4, and the polar plot as a page.
     Circle(Circle),
+    /// The 21 errors of three axes and the lines of rotary axes, from any mix of balls, step diagonals, circles, straight edges and
+    /// lengths: `[axis.x.pitch]`, `[straightness]`, `[squareness]`, `[angular]`, `[rotary]`.
+    Volume(Volume),
     /// B-spline, polynomial and lines side by side on your straightness runs: nothing is fitted for the bridge.
     Table1(Table1),
 }
@@ -135,6 +138,35 @@ pub struct Circle {
     /// The folder for report.html and circle.json; left out, the page is OUT.html.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+}
+
+/// Finds the errors of the whole volume.
+///
+/// Each row has x_mm, y_mm, z_mm (a_deg, b_deg, c_deg, tool_length_mm, setup) and one of measured_dx_um with measured_dy_um and
+/// measured_dz_um (a ball), measured_diagonal_um, measured_dr_um (a circle), or one of measured_dx_um, measured_dy_um, measured_dz_um
+/// (a gauge on a straight edge, a length). It says which errors are known, and which measurement would settle the rest.
+///
+/// Exit 3: no correction is better on held-out readings, and nothing is written.
+#[derive(Args)]
+pub struct Volume {
+    /// A run file; may be given several times: all instruments and set-ups.
+    #[arg(long, value_name = "RUN.csv", required = true)]
+    pub run: Vec<PathBuf>,
+    /// The machine file with the chain: what it predicts is taken off, and the errors are added to it.
+    #[arg(long, value_name = "M.toml")]
+    pub machine: PathBuf,
+    /// Where to write the machine file.
+    #[arg(short, long, value_name = "OUT.toml")]
+    pub output: PathBuf,
+    /// Standard uncertainty of a reading; left out, half of [instrument] of the machine file, else by the readings alone.
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    pub instrument_um: Option<f64>,
+    /// Standard uncertainty of the scale of artefact and laser; left out, the mean scale of the axes is not known.
+    #[arg(long, value_name = "UM/M", value_parser = crate::diagnose::above_zero)]
+    pub scale_um_per_m: Option<f64>,
+    /// Standard uncertainty of a point of the artefact; left out, balls are right and a straight edge is not known.
+    #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
+    pub artefact_um: Option<f64>,
 }
 
 #[derive(Args)]

@@ -400,3 +400,51 @@ fn a_circle_in_one_direction_or_without_readings_says_what_to_do() {
     let (_, err) = desk.said("fit circle --run dx.csv -o out.toml", 2);
     assert!(err.contains("column measured_dr_um is missing"), "{err}");
 }
+
+/// Balls at three heights: X is out of square to Y by 80 µm/m, and a roll of X lifts what is away from Y = 0.
+fn balls_csv() -> String {
+    let mut text =
+        String::from("x_mm,y_mm,z_mm,setup,measured_dx_um,measured_dy_um,measured_dz_um\n");
+    let mut row = 0;
+    for z in [0.0, 100.0, 200.0] {
+        for (x, y) in (0..25).map(|n: u8| (f64::from(n % 5) * 100.0, f64::from(n / 5) * 100.0)) {
+            let roll_urad = 40.0 * ((x - 200.0) / 200.0_f64).powi(2);
+            let um = [0.08 * y, -roll_urad * z / 1000.0, roll_urad * y / 1000.0];
+            row += 3;
+            let um = [0, 1, 2].map(|n| um[n] + 0.2 * noise(row + n));
+            writeln!(text, "{x},{y},{z},1,{:.3},{:.3},{:.3}", um[0], um[1], um[2])
+                .expect("a string");
+        }
+    }
+    text
+}
+
+#[test]
+fn balls_give_the_errors_of_the_volume_and_what_one_tool_does_not_show() {
+    let desk = desk();
+    let machine = "[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\ntool.length_mm = 100.0\n";
+    desk.write("chain.toml", machine.replace("tool.length_mm", "[tool]\nlength_mm"));
+    desk.write("run.csv", balls_csv());
+    let line = "fit volume --run run.csv --machine chain.toml -o out.toml --instrument-um 0.2 --scale-um-per-m 1";
+    let (out, _) = desk.said(line, 0);
+    assert!(out.contains("written to out.toml"), "{out}");
+    assert!(desk.text("out.html").contains("EAX over X"));
+    let fitted = desk.machine("out.toml");
+    let squareness = fitted.squareness.iter().find(|it| it.name() == "x_of_y_um_per_m");
+    assert!((squareness.expect("written").um_per_m - 80.0).abs() < 2.0, "{out}");
+    assert!(fitted.volume.angular.iter().any(|it| it.name() == "eax"), "{out}");
+    // One tool: what Z turns by looks like its straightness.
+    assert!(out.contains("not known by itself") && out.contains("100 mm longer"), "{out}");
+    let (json, _) = desk.said(&format!("{line} --json"), 0);
+    let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    let eax = json["errors"].as_array().expect("a list").iter().find(|it| it["error"] == "EAX");
+    let eax = eax.expect("is there");
+    assert_eq!(
+        (eax["known"].as_bool(), eax["claimed"].as_bool()),
+        (Some(true), Some(true)),
+        "{eax}"
+    );
+    assert!((eax["size"].as_f64().expect("a number") - 40.0).abs() < 4.0, "{eax}");
+    let (_, err) = desk.said("fit volume --run run.csv --machine m.toml -o out.toml", 2);
+    assert!(err.contains("machine.chain is missing"), "{err}");
+}

@@ -161,7 +161,9 @@ fn is_slip(
 ) -> Option<bool> {
     // A circle begins where it ends, whatever the pause between two of them.
     let is_value = |name: &str| {
-        is_temperature_column(name) || name.starts_with("measured_") && name != "measured_dr_um"
+        is_temperature_column(name)
+            || name.starts_with("measured_")
+                && !["measured_dr_um", "measured_diagonal_um"].contains(&name)
     };
     let votes = run.columns().iter().filter(|column| is_value(&column.name)).filter_map(|column| {
         let side =

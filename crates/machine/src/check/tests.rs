@@ -5,6 +5,11 @@ use std::path::Path;
 use super::*;
 use crate::MachineFile;
 
+const TILTS_X: &str =
+    "cause = \"angular-error\"\nquantity = \"dx\"\nlever = \"z\"\nurad_per_m = 4.0\n";
+const CARRIES_Z: &str = "kind = \"3-axis\"\nchain = \"w b X Y Z t\"\n";
+const CARRIES_NONE: &str = "kind = \"3-axis\"\nchain = \"w b Y Z X t\"\n";
+
 /// Every section once, and nothing doubtful in it.
 const RIGHT: &str = "\
 [machine]
@@ -226,6 +231,12 @@ const RULES: &[Rule] = &[
         name: "the heat of the tool twice", line: "sensor = \"temp_a_c\"", says: "both move the tool along Z",
         wrong: &[(HEAT_OF_Z, SAME_HEAT)],
         near: &[(HEAT_OF_Z, SAME_HEAT), ("source = \"temperature\"", "source = \"warmup\"")],
+    },
+    Rule {
+        name: "an angle twice", line: "[[term]]", says: "is the turn of angular.ebx with the lever along Z",
+        wrong: &[(TERM, TILTS_X), ("kind = \"3-axis\"\n", CARRIES_Z), ("[straightness", "[angular.ebx]\nurad_per_m = 4.0\n\n[straightness")],
+        // In that chain Z is no lever of X.
+        near: &[(TERM, TILTS_X), ("kind = \"3-axis\"\n", CARRIES_NONE), ("[straightness", "[angular.ebx]\nurad_per_m = 4.0\n\n[straightness")],
     },
     Rule {
         name: "a term twice", line: "[[term]]", says: "is the same as the [[term]]",

@@ -13,6 +13,7 @@ pub(super) fn warnings(machine: &Machine) -> Vec<Warning> {
     warnings.extend(backlash(machine));
     warnings.extend(squareness(machine));
     warnings.extend(heat_of_the_tool(machine));
+    warnings.extend(angles(machine));
     warnings
 }
 
@@ -87,6 +88,39 @@ fn squareness(machine: &Machine) -> Vec<Warning> {
             );
             let help = "if the curve contains the squareness, take one of the two out";
             Warning::at(machine, &format!("squareness.{}", line.name()), &what, help)
+        })
+    });
+    doubled.collect()
+}
+
+/// Returns terms that have the error of a turn that stands under `[angular]` as well: the axis that turns, the one in error and
+/// the lever are the same.
+fn angles(machine: &Machine) -> Vec<Warning> {
+    let volume = &machine.volume;
+    let terms = machine.terms.iter().enumerate();
+    let doubled = terms.filter_map(|(index, term)| {
+        let error = term.quantity.axis()?;
+        let forms = term.effect.on_board();
+        let tilt = forms.iter().find_map(|form| match form {
+            OnBoard::Tilt(tilt) => Some(tilt.clone()),
+            _ => None,
+        })?;
+        let along = tilt.along.unwrap_or(error);
+        // A turn moves neither along its own axis nor along its lever.
+        let same = |it: &&crate::file::Angular| {
+            it.along == along
+                && ![error, tilt.lever].iter().any(|axis| axis.index() == it.about.index())
+        };
+        let angular = volume.angular.iter().find(same)?;
+        let chain = volume.chain.as_ref()?;
+        chain.in_lever(along).contains(&tilt.lever).then(|| {
+            let what = format!(
+                "is the turn of angular.{} with the lever along {}, which is corrected already",
+                angular.name(),
+                tilt.lever.name().to_uppercase()
+            );
+            let help = "if both are the same angle, take one of them out";
+            Warning::at(machine, &key(index), &what, help)
         })
     });
     doubled.collect()

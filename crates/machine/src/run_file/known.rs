@@ -35,7 +35,17 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known(
         "setup",
         "",
-        "number of the set-up of the instrument, of `fit circle`: each has a zero and a centre of its own",
+        "number of the set-up of the instrument, of `fit circle` and `fit volume`: each has a zero, an alignment and a centre of its own",
+    ),
+    known(
+        "point",
+        "",
+        "number of the ball, or of the point of a straight edge, of `fit volume`: the same in all set-ups",
+    ),
+    known(
+        "tool_length_mm",
+        "mm",
+        "the tool or stylus in the spindle, in the place of `[tool] length_mm`; `fit volume`",
     ),
     known(
         "tool",
@@ -80,6 +90,11 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
         "measured_dr_um",
         "µm",
         "the radial deviation on a circle, actual minus nominal radius, at the commanded position; `fit circle`",
+    ),
+    known(
+        "measured_diagonal_um",
+        "µm",
+        "the error along the diagonal, actual minus commanded, of the way from the first to the last row of the set-up; `fit volume`",
     ),
     known("offset_x_um", "µm", OFFSET),
     known("offset_y_um", "µm", OFFSET),

@@ -5,6 +5,7 @@ pub(crate) mod backlash;
 pub(crate) mod diagonal;
 pub(crate) mod pitch;
 pub(crate) mod speeds;
+pub(crate) mod step_diagonal;
 pub(crate) mod straightness;
 pub(crate) mod targets;
 pub(crate) mod warmup;

@@ -74,7 +74,7 @@ impl Draw {
 
     /// Nothing is left out that could be written, and what is left out is said.
     pub fn is_named_what_is_not_written(&self, kind: Kind, plans: &[Plan], notes: &str) {
-        if matches!(kind, Kind::Warmup | Kind::Diagonal) {
+        if matches!(kind, Kind::Warmup | Kind::Diagonal | Kind::StepDiagonal) {
             return;
         }
         for axis in LinearAxis::ALL {
@@ -98,13 +98,17 @@ impl Draw {
             .filter(|axis| self.options.axes.is_empty() || self.options.axes.contains(axis))
             .collect();
         let with_room = asked.iter().filter(|axis| self.has_room(**axis)).count();
-        let needed = if kind == Kind::Diagonal { 2 } else { 1 };
+        let needed = match kind {
+            Kind::Diagonal => 2,
+            Kind::StepDiagonal => 3,
+            _ => 1,
+        };
         if why.contains("strokes from") {
             return;
         }
         let clearance = why.contains("--clearance") && kind == Kind::Backlash;
         assert!(with_room < needed || clearance, "{kind:?} {self:?}: needlessly {why}");
-        let is_alone = kind == Kind::Diagonal && why.contains("only");
+        let is_alone = matches!(kind, Kind::Diagonal | Kind::StepDiagonal) && why.contains("only");
         assert!(why.contains("--range") || clearance || is_alone, "{why}");
     }
 }

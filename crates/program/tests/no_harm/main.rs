@@ -23,8 +23,15 @@ use trueup_program::{
 };
 use walk::{Limits, walk};
 
-const KINDS: [Kind; 6] =
-    [Kind::Backlash, Kind::Pitch, Kind::Straightness, Kind::Warmup, Kind::AxisHeat, Kind::Diagonal];
+const KINDS: [Kind; 7] = [
+    Kind::Backlash,
+    Kind::Pitch,
+    Kind::Straightness,
+    Kind::Warmup,
+    Kind::AxisHeat,
+    Kind::Diagonal,
+    Kind::StepDiagonal,
+];
 /// How many machines, each with a range and options of its own.
 const DRAWS: u64 = 240;
 
@@ -54,7 +61,7 @@ fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
 /// Returns the axes that a plan's name names.
 fn named(plan: &Plan) -> Vec<LinearAxis> {
     let last = plan.name.rsplit('-').next().unwrap_or_default();
-    let is_axes = ["x", "y", "z", "xy", "xz", "yz"].contains(&last);
+    let is_axes = ["x", "y", "z", "xy", "xz", "yz", "xyz"].contains(&last);
     let all = LinearAxis::ALL.into_iter();
     all.filter(|axis| is_axes && last.contains(axis.name())).collect()
 }

@@ -1,0 +1,146 @@
+//! `trueup fit volume`: the errors of the volume as text and JSON.
+
+use std::path::Path;
+
+use anyhow::Result;
+use serde_json::{Value, json};
+use trueup_fit::volume::{self, Options, VolumeReport, judge::Known, reading::Kind};
+use trueup_machine::{MachineFile, compile::compile};
+
+use super::{args::Volume, warn_of_text};
+use crate::{Outcome, files, origin, output};
+
+/// Gross readings that are printed.
+const MOST_LISTED: usize = 20;
+
+/// Fits, writes and prints.
+pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
+    let text = MachineFile::read_text(&args.machine)?;
+    let machine = files::parsed(&text, &args.machine)?;
+    let runs = files::runs_to_fit(&args.run, Some(&machine))?;
+    let options = Options {
+        instrument_um: args.instrument_um,
+        scale_um_per_m: args.scale_um_per_m,
+        artefact_um: args.artefact_um,
+    };
+    let report = volume::fit(&runs, &machine, &options)?;
+    report.warnings.iter().for_each(crate::report::warn);
+    let is_written = !report.edit.is_empty();
+    let inputs: Vec<&Path> =
+        args.run.iter().chain([&args.machine]).map(std::path::PathBuf::as_path).collect();
+    let page = volume::page(&report, &origin::of(&inputs)?).html();
+    // The machine file itself may be written over: that is what a user means who names it twice.
+    let runs: Vec<&Path> = args.run.iter().map(std::path::PathBuf::as_path).collect();
+    let mut set = output::FileSet::new(&runs);
+    if is_written {
+        let text = report.edit.apply(&text, &args.machine)?;
+        warn_of_text(Some(&machine), &text, &args.output)?;
+        warn_of_board(&text, &args.output);
+        set.text(&args.output, &text)?;
+    }
+    if !output::is_standard_output(&args.output) {
+        set.text(&args.output.with_extension("html"), &page)?;
+    }
+    set.commit()?;
+    if as_json {
+        output::print(json_of(&report, is_written.then_some(args.output.as_path())))?;
+    } else {
+        output::print(text_of(&report, &args.output))?;
+    }
+    Ok(if is_written { Outcome::Done } else { Outcome::NotMet })
+}
+
+/// Says that no board takes the file, where that is so: the file is right all the same.
+fn warn_of_board(text: &str, path: &Path) {
+    let compiled = MachineFile::parse(text, path).map(|machine| compile(&machine).map(drop));
+    if let Ok(Err(error)) = compiled {
+        crate::report::warn(format_args!("trueup compile will refuse {}: {error}", path.display()));
+    }
+}
+
+fn text_of(report: &VolumeReport, output: &Path) -> String {
+    let known = report.known.iter().filter(|it| it.is_known).count();
+    let acting = report.known.iter().filter(|it| it.acts).count();
+    let mut lines = vec![format!("volume: {known} of {acting} errors are known")];
+    for kind in Kind::ALL {
+        if let Some(um) = report.noise_um[kind.index()] {
+            let count = report.readings[kind.index()];
+            lines.push(format!("  {count} readings, {}: noise {um:.2} µm", kind.name()));
+        }
+    }
+    lines.extend(report.known.iter().map(line_of));
+    let held_out = report.held_out;
+    lines.push(format!(
+        "held-out readings: {:.2} µm RMS with the file as it is, {:.2} µm with the constants of the others",
+        held_out.before_um, held_out.after_um
+    ));
+    lines.extend(report.set_aside.iter().take(MOST_LISTED).map(|row| format!("  {row}")));
+    if report.set_aside.len() > MOST_LISTED {
+        lines.push(format!("  and {} more", report.set_aside.len() - MOST_LISTED));
+    }
+    lines.push(if report.edit.is_empty() {
+        "nothing is written: no correction is better on held-out readings".into()
+    } else {
+        format!("written to {}", output.display())
+    });
+    lines.join("\n")
+}
+
+fn line_of(it: &Known) -> String {
+    let unit = it.error.unit();
+    let mut line = format!("  {:<5}", it.error.to_string());
+    if !it.acts {
+        return line + "does not move the tip here";
+    }
+    let what = if it.error.along().is_some() { "range " } else { "" };
+    line += &format!("{what}{:.2} ± {:.2} {unit}", it.size, it.half_width);
+    if !it.is_known {
+        line += "; not known by itself";
+        if !it.confused_with.is_empty() {
+            line += &format!(": looks the same as {}", it.confused_with.join(", "));
+        }
+        line += &format!("\n         next: {}", it.next_test);
+    }
+    line
+}
+
+fn json_of(report: &VolumeReport, output: Option<&Path>) -> Value {
+    let error = |it: &Known| {
+        json!({
+            "error": it.error.to_string(),
+            "key": it.error.key(),
+            "unit": it.error.unit(),
+            "along": it.error.along().map(|axis| axis.name()),
+            "acts": it.acts,
+            "known": it.is_known,
+            "claimed": it.is_known && it.is_there,
+            "compensated": report.written.contains(&it.error),
+            "size": it.size,
+            "half_width95": it.half_width,
+            "open": it.open,
+            "confused_with": it.confused_with,
+            "next_test": it.next_test,
+        })
+    };
+    let kinds = Kind::ALL.iter().filter_map(|kind| {
+        let um = report.noise_um[kind.index()]?;
+        let readings = report.readings[kind.index()];
+        Some(json!({"kind": kind.name(), "readings": readings, "noise_um": um}))
+    });
+    json!({
+        "schema": 1,
+        "kind": "volume",
+        "errors": report.known.iter().map(error).collect::<Vec<_>>(),
+        "readings": kinds.collect::<Vec<_>>(),
+        "held_out": {"before_um": report.held_out.before_um, "after_um": report.held_out.after_um},
+        "set_aside": report.set_aside.iter().map(|row| json!({
+            "file": row.place.file.to_string_lossy(),
+            "line": row.place.line,
+            "column": row.place.column,
+            "measured_um": row.measured_um,
+            "reason": row.reason,
+        })).collect::<Vec<_>>(),
+        "warnings": report.warnings,
+        "output": output.map(Path::to_string_lossy),
+    })
+}

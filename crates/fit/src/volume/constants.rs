@@ -1,0 +1,271 @@
+//! The constants of the volume, and how much a unit of each moves the tool tip at a pose.
+//!
+//! Names are those of ISO 230-1 and ISO 230-7. Each error over a position has a line and [forms](super::modes); a straightness has
+//! no line, since a slope is a squareness or the alignment of the artefact. An angle counts from its mean over the travel: a
+//! constant angle is a squareness too. What a unit of an angle or of a line of a rotary axis does at the tip is asked of the model
+//! that predicts, so that both have the same signs and levers.
+
+use std::fmt;
+
+use trueup_machine::{
+    Machine,
+    effect::Angle,
+    file::{Angular, BSpline, LinearAxis, RotaryAxis, RotaryLocation, Straightness},
+    model::volume_um,
+};
+
+use super::{modes::Modes, reading::Pose};
+
+/// An axis that moves less, in mm, has no errors to be found.
+const MIN_TRAVEL_MM: f64 = 5.0;
+
+/// An error by its name in ISO 230-1 or ISO 230-7.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Error {
+    /// EXX: the position of an axis.
+    Position(LinearAxis),
+    /// EYX: an axis in error while another moves.
+    Straightness(LinearAxis, LinearAxis),
+    /// EC0Y and others: the axis in error, the one that moves.
+    Squareness(LinearAxis, LinearAxis),
+    /// EAX: the turn, the axis that moves.
+    Angle(RotaryAxis, LinearAxis),
+    /// EXOC: a direction, the rotary axis.
+    Shift(LinearAxis, RotaryAxis),
+    /// EAOC: a turn, the rotary axis.
+    Tilt(RotaryAxis, RotaryAxis),
+}
+
+impl Error {
+    /// Returns the axis over whose position it is a function.
+    #[must_use]
+    pub fn along(self) -> Option<LinearAxis> {
+        match self {
+            Self::Position(along) | Self::Straightness(_, along) | Self::Angle(_, along) => {
+                Some(along)
+            }
+            Self::Squareness(..) | Self::Shift(..) | Self::Tilt(..) => None,
+        }
+    }
+
+    /// Returns the unit of its value.
+    #[must_use]
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Position(_) | Self::Straightness(..) | Self::Shift(..) => "µm",
+            Self::Squareness(..) => "µm/m",
+            Self::Angle(..) | Self::Tilt(..) => "µrad",
+        }
+    }
+
+    /// Returns the key of the machine file that holds it.
+    #[must_use]
+    pub fn key(self) -> String {
+        match self {
+            Self::Position(axis) => format!("axis.{}.pitch", axis.name()),
+            Self::Straightness(error, along) => {
+                format!("straightness.{}_of_{}", error.name(), along.name())
+            }
+            Self::Squareness(error, along) => {
+                format!("squareness.{}_of_{}_um_per_m", error.name(), along.name())
+            }
+            Self::Angle(about, along) => format!("angular.e{}{}", about.name(), along.name()),
+            Self::Shift(along, axis) => {
+                format!("rotary.{}.e{}o{}_um", axis.name(), along.name(), axis.name())
+            }
+            Self::Tilt(about, axis) => {
+                format!("rotary.{}.e{}o{}_urad", axis.name(), about.name(), axis.name())
+            }
+        }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = match self {
+            Self::Position(axis) => format!("E{0}{0}", axis.name()),
+            Self::Straightness(error, along) => format!("E{}{}", error.name(), along.name()),
+            Self::Squareness(error, along) => {
+                let about = RotaryAxis::ALL[3 - error.index() - along.index()];
+                format!("E{}0{}", about.name(), along.name())
+            }
+            Self::Angle(about, along) => format!("E{}{}", about.name(), along.name()),
+            Self::Shift(along, axis) => format!("E{}O{}", along.name(), axis.name()),
+            Self::Tilt(about, axis) => format!("E{}O{}", about.name(), axis.name()),
+        };
+        f.write_str(&name.to_uppercase())
+    }
+}
+
+/// A part of an error that one number multiplies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// A number of its own: a squareness, a shift, a tilt.
+    Whole,
+    /// The line about the middle of the travel, for a metre.
+    Line,
+    /// A form by its number.
+    Form(usize),
+}
+
+/// A constant: which part of which error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Constant {
+    /// The error.
+    pub error: Error,
+    /// Its part.
+    pub part: Part,
+}
+
+/// The errors of a machine over what was measured of its volume.
+#[derive(Clone, Debug)]
+pub struct Constants {
+    /// The constants in the order of their columns.
+    pub all: Vec<Constant>,
+    /// The forms over the travel of X, Y and Z; `None` where it did not move.
+    pub modes: [Option<Modes>; 3],
+    /// For each angle and each location error a machine that has a unit of it and nothing else.
+    units: Vec<(Error, Machine)>,
+}
+
+impl Constants {
+    /// Returns the constants of `machine` over the positions of `poses`.
+    #[must_use]
+    pub fn of(machine: &Machine, poses: &[Pose]) -> Self {
+        let modes = [0, 1, 2].map(|n| {
+            let at = || poses.iter().map(|pose| pose.position_mm[n]);
+            let ends = [at().fold(f64::INFINITY, f64::min), at().fold(f64::MIN, f64::max)];
+            (ends[1] - ends[0] > MIN_TRAVEL_MM).then(|| Modes::over(ends))
+        });
+        let errors = errors(machine, &modes);
+        let mut all = Vec::new();
+        for &error in &errors {
+            let mut add = |part| all.push(Constant { error, part });
+            match error.along() {
+                None => add(Part::Whole),
+                Some(along) => {
+                    if !matches!(error, Error::Straightness(..)) {
+                        add(Part::Line);
+                    }
+                    let count = modes[along.index()].as_ref().map_or(0, Modes::count);
+                    (0..count).for_each(|n| add(Part::Form(n)));
+                }
+            }
+        }
+        let units = errors.iter().filter_map(|error| Some((*error, unit(machine, *error)?)));
+        Self { all, modes, units: units.collect() }
+    }
+
+    /// Returns the errors, each once.
+    #[must_use]
+    pub fn errors(&self) -> Vec<Error> {
+        let mut errors: Vec<Error> = self.all.iter().map(|it| it.error).collect();
+        errors.dedup();
+        errors
+    }
+
+    /// Returns the numbers of the constants of an error.
+    #[must_use]
+    pub fn of_error(&self, error: Error) -> Vec<usize> {
+        (0..self.all.len()).filter(|at| self.all[*at].error == error).collect()
+    }
+
+    /// Returns what a unit of each constant moves the tip at a pose, along X, Y and Z in µm.
+    #[must_use]
+    pub fn at(&mut self, pose: &Pose) -> Vec<[f64; 3]> {
+        let units: Vec<(Error, [f64; 3])> = self
+            .units
+            .iter_mut()
+            .map(|(error, machine)| {
+                machine.volume.tool.length_mm = pose.tool_mm;
+                (*error, volume_um(machine, pose.position_mm, pose.angle_deg))
+            })
+            .collect();
+        let forms = [0, 1, 2].map(|n| {
+            let modes = self.modes[n].as_ref();
+            modes.map(|modes| modes.at(pose.position_mm[n])).unwrap_or_default()
+        });
+        let part = |constant: &Constant| -> f64 {
+            let Some(along) = constant.error.along() else { return 1.0 };
+            match (constant.part, &self.modes[along.index()]) {
+                (Part::Form(n), _) => forms[along.index()][n],
+                (_, Some(modes)) => {
+                    (modes.held(pose.position_mm[along.index()]) - modes.middle_mm()) / 1000.0
+                }
+                (_, None) => 0.0,
+            }
+        };
+        let unit = |error: Error| -> [f64; 3] {
+            let along = |axis: LinearAxis, by: f64| {
+                let mut vector = [0.0; 3];
+                vector[axis.index()] = by;
+                vector
+            };
+            match error {
+                Error::Position(axis) | Error::Straightness(axis, _) => along(axis, 1.0),
+                Error::Squareness(axis, moves) => {
+                    along(axis, pose.position_mm[moves.index()] / 1000.0)
+                }
+                Error::Angle(..) | Error::Shift(..) | Error::Tilt(..) => {
+                    units.iter().find(|(it, _)| *it == error).map_or([0.0; 3], |(_, um)| *um)
+                }
+            }
+        };
+        let each = self.all.iter().map(|constant| {
+            let share = part(constant);
+            unit(constant.error).map(|um| um * share)
+        });
+        each.collect()
+    }
+}
+
+/// Returns the errors that a machine can have where its axes have moved so.
+fn errors(machine: &Machine, modes: &[Option<Modes>; 3]) -> Vec<Error> {
+    use LinearAxis::{X, Y, Z};
+    let moves = |axis: LinearAxis| modes[axis.index()].is_some();
+    let mut errors: Vec<Error> = LinearAxis::ALL.map(Error::Position).to_vec();
+    errors.extend(Straightness::PAIRS.map(|(error, along)| Error::Straightness(error, along)));
+    errors.extend([(X, Y), (X, Z), (Y, Z)].map(|(error, along)| Error::Squareness(error, along)));
+    errors.extend(Angular::all().map(|(about, along)| Error::Angle(about, along)));
+    errors.retain(|error| match error {
+        Error::Squareness(error, along) => moves(*error) && moves(*along),
+        _ => error.along().is_none_or(moves),
+    });
+    for axis in machine.volume.chain.iter().flat_map(trueup_machine::file::Chain::rotary) {
+        let shifts = LinearAxis::ALL.into_iter().filter(|it| it.index() != axis.index());
+        errors.extend(shifts.map(|along| Error::Shift(along, axis)));
+        errors.extend(RotaryAxis::ALL.map(|about| Error::Tilt(about, axis)));
+    }
+    errors
+}
+
+/// Returns a machine with 1 µrad or 1 µm of an error, and no other.
+fn unit(machine: &Machine, error: Error) -> Option<Machine> {
+    let mut own = machine.clone();
+    let volume = &mut own.volume;
+    volume.angular.clear();
+    for it in &mut volume.rotary {
+        (it.shift_um, it.tilt_urad) = ([0.0; 3], [0.0; 3]);
+    }
+    let mut location = |axis: RotaryAxis, shift_um, tilt_urad| {
+        let point_mm = volume.line_mm(axis);
+        volume.rotary.retain(|it| it.axis != axis);
+        volume.rotary.push(RotaryLocation { axis, point_mm, shift_um, tilt_urad });
+    };
+    let one = |n: usize| {
+        let mut vector = [0.0; 3];
+        vector[n] = 1.0;
+        vector
+    };
+    match error {
+        Error::Shift(along, axis) => location(axis, one(along.index()), [0.0; 3]),
+        Error::Tilt(about, axis) => location(axis, [0.0; 3], one(about.index())),
+        Error::Angle(about, along) => {
+            let knots_mm = vec![-1e6, -1e6, 1e6, 1e6];
+            let angle = Angle::Curve(BSpline { order: 2, knots_mm, control_um: vec![1.0; 2] });
+            volume.angular.push(Angular { about, along, angle });
+        }
+        Error::Position(_) | Error::Straightness(..) | Error::Squareness(..) => return None,
+    }
+    Some(own)
+}

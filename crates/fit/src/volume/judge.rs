@@ -1,0 +1,288 @@
+//! What is known: by what the measurement can see, whatever it has read, and by readings that were held out.
+//!
+//! An error is known if the readings' places leave less than two fifths of its usual size open (the standard deviation after,
+//! against the one before). One that is not known is confused with another if that one, once known, would take half of the variance away.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use nalgebra::{DMatrix, DVector};
+use trueup_numerics::random::Generator;
+
+use super::{
+    constants::{Error, Part},
+    design::{Design, Normals, normals},
+    estimate::{Posterior, Variances, posterior},
+    reading::{OnCircle, Pose, Reading},
+    setup::Uncertainty,
+};
+
+/// Share of the usual standard deviation that may be left of a known error.
+pub const KNOWN: f64 = 0.4;
+/// How much longer a second tool is.
+pub const LONGER_MM: f64 = 100.0;
+/// How much larger than usual an error may be in what a measurement can see.
+const WIDE: f64 = 2.0;
+/// Places along the travel at which a function is looked at.
+const PLACES: usize = 21;
+/// Share of the variance that another error must take away to be confused with.
+const CONFUSED: f64 = 0.5;
+/// Names in that list.
+const MAX_CONFUSED: usize = 3;
+/// Blocks of readings, each held out once.
+const BLOCKS: usize = 5;
+const SEED: u64 = 230;
+/// Readings of a set-up that must be left to give its zero and alignment.
+const MIN_LEFT: usize = 9;
+/// A block of a circle, in rad: 30°.
+const ARC: f64 = std::f64::consts::TAU / 12.0;
+/// Normal quantile of a 95 % interval.
+pub const HALF_WIDTH: f64 = 1.96;
+
+/// How well an error is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Known {
+    /// The error.
+    pub error: Error,
+    /// Whether it moves the tool tip anywhere in the measured volume.
+    pub acts: bool,
+    /// Whether it is known.
+    pub is_known: bool,
+    /// The standard deviation after the measurement as a share of the one before.
+    pub open: f64,
+    /// The value of a number; of a function largest minus smallest value over the travel.
+    pub size: f64,
+    /// Half of the 95 % interval of the value; of a function its root mean square over the travel.
+    pub half_width: f64,
+    /// Whether the interval excludes zero somewhere.
+    pub is_there: bool,
+    /// Of a function the position in mm, the value there, and half of its 95 % interval.
+    pub curve: Vec<[f64; 3]>,
+    /// What looks the same.
+    pub confused_with: Vec<String>,
+    /// The measurement that would settle it.
+    pub next_test: String,
+}
+
+/// Returns rows of the constants that give an error at places along its travel; one row of a number.
+#[must_use]
+pub fn places(design: &Design, error: Error) -> Vec<Vec<f64>> {
+    let constants = &design.constants;
+    let own = constants.of_error(error);
+    let mut row = vec![0.0; constants.all.len()];
+    let modes = error.along().and_then(|along| constants.modes[along.index()].as_ref());
+    let Some(modes) = modes else {
+        own.iter().for_each(|at| row[*at] = 1.0);
+        return vec![row];
+    };
+    let each = (0..PLACES).map(|n| {
+        let mm = place_mm(modes.ends_mm, n);
+        let forms = modes.at(mm);
+        let mut row = row.clone();
+        for at in &own {
+            row[*at] = match constants.all[*at].part {
+                Part::Form(form) => forms[form],
+                _ => (mm - modes.middle_mm()) / 1000.0,
+            };
+        }
+        row
+    });
+    each.collect()
+}
+
+fn place_mm([first, last]: [f64; 2], number: usize) -> f64 {
+    first + (last - first) * number as f64 / (PLACES - 1) as f64
+}
+
+/// Returns what the places of the readings can see: expected variances that are wide, and those after.
+#[must_use]
+pub fn sight(
+    design: &Design,
+    normals: &Normals,
+    uncertainty: &Uncertainty,
+    noise_um: [f64; 4],
+) -> (Variances, Posterior) {
+    let wide = Variances::usual(design, uncertainty, noise_um, WIDE);
+    let seen = posterior(normals, &wide);
+    (wide, seen)
+}
+
+/// Returns the share of an error's standard deviation that is left open.
+#[must_use]
+pub fn open(design: &Design, error: Error, (wide, seen): &(Variances, Posterior)) -> f64 {
+    let rows = places(design, error);
+    let before: f64 = rows
+        .iter()
+        .flat_map(|row| row.iter().enumerate().map(|(n, by)| by * by * wide.of_column[n]))
+        .sum();
+    let after: f64 = rows.iter().map(|row| seen.of(row)[1].powi(2)).sum();
+    (after / before).sqrt()
+}
+
+/// Returns how well each error is known, without the next tests.
+#[must_use]
+pub fn known(
+    design: &Design,
+    found: &Posterior,
+    sight: &(Variances, Posterior),
+    readings: &[Reading],
+) -> Vec<Known> {
+    let acting = acting(design, readings);
+    let judged = design.constants.errors().into_iter().map(|error| {
+        let open = open(design, error, sight);
+        let own = design.constants.of_error(error);
+        let acts = own.iter().any(|at| acting[*at]);
+        let is_known = acts && open <= KNOWN;
+        let at: Vec<[f64; 2]> = places(design, error).iter().map(|row| found.of(row)).collect();
+        let most = |sign: f64| at.iter().map(|it| sign * it[0]).fold(f64::MIN, f64::max);
+        let size = if at.len() == 1 { at[0][0] } else { most(1.0) + most(-1.0) };
+        let square = at.iter().map(|it| it[1] * it[1]).sum::<f64>() / at.len() as f64;
+        let ends = error.along().and_then(|along| design.constants.modes[along.index()].as_ref());
+        let curve = ends.map_or_else(Vec::new, |modes| {
+            let mm = (0..at.len()).map(|n| place_mm(modes.ends_mm, n));
+            mm.zip(&at).map(|(mm, [mean, sd])| [mm, *mean, HALF_WIDTH * sd]).collect()
+        });
+        let confused_with = match acts && !is_known {
+            true => confused(design, error, &sight.1),
+            false => Vec::new(),
+        };
+        Known {
+            error,
+            acts,
+            is_known,
+            open,
+            size,
+            half_width: HALF_WIDTH * square.sqrt(),
+            is_there: at.iter().any(|[mean, sd]| mean.abs() > HALF_WIDTH * sd),
+            curve,
+            confused_with,
+            next_test: String::new(),
+        }
+    });
+    judged.collect()
+}
+
+/// Returns which constants move the tip where it was read, with those tools or a longer one.
+fn acting(design: &Design, readings: &[Reading]) -> Vec<bool> {
+    let mut constants = design.constants.clone();
+    let mut acting = vec![false; constants.all.len()];
+    for reading in readings {
+        for longer_mm in [0.0, LONGER_MM] {
+            let pose = Pose { tool_mm: reading.pose.tool_mm + longer_mm, ..reading.pose };
+            for (acts, um) in acting.iter_mut().zip(constants.at(&pose)) {
+                *acts |= um.iter().any(|um| um.abs() > 1e-9);
+            }
+        }
+    }
+    acting
+}
+
+/// Returns the names of what would settle an error if it were known, the best first.
+fn confused(design: &Design, error: Error, seen: &Posterior) -> Vec<String> {
+    let mut blocks: BTreeMap<String, Vec<usize>> = BTreeMap::new();
+    for other in design.constants.errors().into_iter().filter(|it| *it != error) {
+        blocks.insert(other.to_string(), design.constants.of_error(other));
+    }
+    let constants = design.constants.all.len();
+    for (n, nuisance) in design.nuisances.iter().enumerate() {
+        blocks.entry(nuisance.name().into()).or_default().push(constants + n);
+    }
+    let rows = places(design, error);
+    let own = design.constants.of_error(error);
+    let whole: f64 = rows.iter().map(|row| seen.of(row)[1].powi(2)).sum();
+    let mut found: Vec<(f64, String)> = Vec::new();
+    for (name, block) in blocks {
+        let size = block.len();
+        let mut inner = DMatrix::from_fn(size, size, |i, j| seen.covariance[(block[i], block[j])]);
+        (0..size).for_each(|n| inner[(n, n)] = inner[(n, n)] * (1.0 + 1e-9) + 1e-12);
+        let Some(inner) = inner.cholesky() else { continue };
+        let taken: f64 = rows
+            .iter()
+            .map(|row| {
+                let shared = DVector::from_fn(size, |n, _| {
+                    own.iter().map(|at| row[*at] * seen.covariance[(*at, block[n])]).sum()
+                });
+                shared.dot(&inner.solve(&shared))
+            })
+            .sum();
+        if taken > CONFUSED * whole {
+            found.push((taken / whole, name));
+        }
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().take(MAX_CONFUSED).map(|(_, name)| name).collect()
+}
+
+/// Readings that were held out, RMS in µm without zero and alignment of their set-ups.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldOut {
+    /// With the machine file as it is.
+    pub before_um: f64,
+    /// With the constants that the other readings give.
+    pub after_um: f64,
+}
+
+/// Returns what is left of readings that were held out, in five blocks of places.
+#[must_use]
+pub fn held_out(
+    design: &Design,
+    readings: &[Reading],
+    is_in: impl Fn(usize) -> bool,
+    all: &Normals,
+    variances: &Variances,
+) -> HeldOut {
+    let places: Vec<[i64; 5]> = readings.iter().map(place).collect();
+    let distinct: BTreeSet<[i64; 5]> = places.iter().copied().collect();
+    let mut random = Generator::new(SEED);
+    let blocks: BTreeMap<[i64; 5], usize> =
+        distinct.into_iter().map(|at| (at, random.below(BLOCKS))).collect();
+    let without = variances.without_errors(design);
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for block in 0..BLOCKS {
+        let is_of_block = |n: usize| blocks[&places[n]] == block && is_in(n);
+        // A set-up of which nothing else is left has no zero.
+        let mut left: BTreeMap<usize, usize> = BTreeMap::new();
+        for n in (0..readings.len()).filter(|n| is_in(*n) && !is_of_block(*n)) {
+            *left.entry(readings[n].setup).or_default() += 1;
+        }
+        let has_zero = |n: usize| left.get(&readings[n].setup).is_some_and(|it| *it >= MIN_LEFT);
+        let is_out = |n: usize| is_of_block(n) && has_zero(n);
+        let out = normals(design, readings, is_out);
+        let mut rest = all.clone();
+        for (rest, out) in rest.iter_mut().zip(&out) {
+            rest.squares -= &out.squares;
+            rest.products -= &out.products;
+            rest.whole -= out.whole;
+            rest.count -= out.count;
+        }
+        for (square, variances) in squares.iter_mut().zip([&without, variances]) {
+            let found = posterior(&rest, variances);
+            for n in (0..readings.len()).filter(|n| is_out(*n)) {
+                let predicted: f64 =
+                    design.rows[n].iter().zip(found.mean.iter()).map(|(a, b)| a * b).sum();
+                *square += (readings[n].um - predicted).powi(2);
+            }
+        }
+        count += out.iter().map(|it| it.count as f64).sum::<f64>();
+    }
+    let [before_um, after_um] = squares.map(|it| (it / f64::max(count, 1.0)).sqrt());
+    HeldOut { before_um, after_um }
+}
+
+/// Returns the place of a reading, the same for repeats and components.
+fn place(reading: &Reading) -> [i64; 5] {
+    let setup = reading.setup as i64;
+    match reading.on_circle {
+        Some(OnCircle { angle, .. }) => [1, setup, (angle / ARC).floor() as i64, 0, 0],
+        None => {
+            let [x, y, z] = reading.pose.position_mm.map(|mm| (mm * 10.0).round() as i64);
+            let turned: f64 = reading
+                .pose
+                .angle_deg
+                .iter()
+                .enumerate()
+                .map(|(n, deg)| deg * (n + 1) as f64)
+                .sum();
+            [0, x, y, z, (turned * 10.0).round() as i64]
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! What the machine file predicts already at the poses of readings.
+
+use std::fmt::Write as _;
+
+use trueup_machine::{
+    BadInput, Machine, RunFile,
+    file::{LinearAxis, is_temperature_column},
+    model::required_columns,
+    predict::Predictor,
+};
+
+use super::reading::Pose;
+
+/// A pose, the row of the run that it comes from, and the directions of approach.
+#[derive(Clone, Copy, Debug)]
+pub struct Stated {
+    /// The row.
+    pub row: usize,
+    /// The pose.
+    pub pose: Pose,
+    /// +1 or −1 of X, Y and Z.
+    pub direction: [f64; 3],
+}
+
+/// Returns the error that `machine` predicts at each of `stated`. Laws whose columns the run lacks are left out, with a warning.
+///
+/// # Errors
+/// The run has a column with the name of a prediction.
+pub fn predicted_um(
+    run: &RunFile,
+    machine: &Machine,
+    stated: &[Stated],
+    warnings: &mut Vec<String>,
+) -> Result<Vec<[f64; 3]>, BadInput> {
+    if stated.is_empty() {
+        return Ok(Vec::new());
+    }
+    let is_pose = |name: &str| {
+        let axes = LinearAxis::ALL.iter().map(|axis| axis.name()).chain(["a", "b", "c"]);
+        axes.into_iter().any(|axis| name == format!("{axis}_mm") || name == format!("{axis}_deg"))
+    };
+    let missing: Vec<String> = required_columns(machine)
+        .into_iter()
+        .filter(|name| !is_pose(name) && run.column(name).is_none())
+        .collect();
+    let mut used = machine.clone();
+    if !missing.is_empty() {
+        used.axes.iter_mut().for_each(|axis| axis.thermal = None);
+        used.spindle.source = None;
+        used.terms.clear();
+        warnings.push(format!(
+            "{}: heat, spindle and added terms of the machine file are not subtracted: the run lacks {}",
+            run.path().display(),
+            missing.join(", ")
+        ));
+    }
+    let mut lengths: Vec<f64> = stated.iter().map(|it| it.pose.tool_mm).collect();
+    lengths.sort_unstable_by(f64::total_cmp);
+    lengths.dedup();
+    let text = text(run, stated);
+    let stated_run = RunFile::from_reader(text.as_bytes(), run.path())?;
+    let mut predicted = vec![[0.0; 3]; stated.len()];
+    for length_mm in lengths {
+        used.volume.tool.length_mm = length_mm;
+        let predictor = Predictor::new(&used, &stated_run)?;
+        for ((into, it), of) in predicted.iter_mut().zip(stated).zip(predictor.rows()) {
+            if it.pose.tool_mm == length_mm {
+                *into = of.model.error_um;
+            }
+        }
+    }
+    Ok(predicted)
+}
+
+/// Returns the poses as a run, with the inputs of its rows.
+fn text(run: &RunFile, stated: &[Stated]) -> String {
+    let is_input = |name: &str| {
+        ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"].contains(&name)
+            || is_temperature_column(name)
+    };
+    let others: Vec<(&str, &[f64])> = run
+        .columns()
+        .iter()
+        .filter(|column| is_input(&column.name))
+        .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))
+        .collect();
+    let mut text = String::from("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,dir_x,dir_y,dir_z");
+    others.iter().for_each(|(name, _)| text.extend([",", name]));
+    for Stated { row, pose, direction } in stated {
+        let [x, y, z] = pose.position_mm;
+        let [a, b, c] = pose.angle_deg;
+        let [dx, dy, dz] = direction;
+        let _ = write!(text, "\n{x},{y},{z},{a},{b},{c},{dx},{dy},{dz}");
+        for (_, values) in &others {
+            let value = values[*row];
+            let _ = if value.is_nan() { write!(text, ",") } else { write!(text, ",{value}") };
+        }
+    }
+    text.push('\n');
+    text
+}

@@ -1,0 +1,284 @@
+//! The constants as sections of a machine file. What the file has already was taken off the readings, so the new part is added to it.
+//!
+//! All constants are written together: they are those that correct best within the measured volume. One that is not known by
+//! itself shares its error with others in a way that only fits there; the remark says so.
+
+use trueup_machine::{
+    Machine,
+    effect::Angle,
+    file::{
+        BSpline, LinearAxis, Pitch, RotaryAxis, Squareness,
+        write::{Edit, NewSection, rounded},
+    },
+    model::{pitch_um, spline_um},
+};
+
+use super::{
+    constants::{Constants, Error, Part},
+    judge::Known,
+};
+use crate::bspline;
+
+/// Digits after the point: the board's step is 1 nm.
+const DECIMALS: i32 = 3;
+/// Steps of a table over the travel: lines between them leave nothing of a smooth form.
+const STEPS: usize = 64;
+/// The most points of a table.
+const MAX_POINTS: usize = 2_000;
+/// What is smaller, in µm, µm/m or µrad, is not written.
+const SMALLEST: f64 = 0.02;
+/// Points of a spline that takes two together.
+const SAMPLES: u32 = 400;
+
+/// Returns the sections, and which errors they have.
+#[must_use]
+pub fn edit(
+    machine: &Machine,
+    constants: &Constants,
+    mean: &[f64],
+    known: &[Known],
+    points_mm: Option<[[f64; 3]; 3]>,
+    warnings: &mut Vec<String>,
+) -> (Edit, Vec<Error>) {
+    let mut out =
+        Sections { machine, constants, mean, known, sections: Vec::new(), written: Vec::new() };
+    out.positions(warnings);
+    out.straightness();
+    out.squareness();
+    if let Some(points_mm) = points_mm {
+        let section = NewSection::new("angular")
+            .remark("Where the straightness below is stated: the middle of the measured volume.");
+        let section = LinearAxis::ALL.into_iter().zip(points_mm).fold(section, |it, (axis, mm)| {
+            it.numbers(format!("point_{}_mm", axis.name()), mm.map(|mm| rounded(mm, DECIMALS)))
+        });
+        out.sections.push(section);
+    }
+    out.angles();
+    out.rotary();
+    let edit = Edit { sections: out.sections, ..Edit::default() };
+    (edit, out.written)
+}
+
+struct Sections<'a> {
+    machine: &'a Machine,
+    constants: &'a Constants,
+    mean: &'a [f64],
+    known: &'a [Known],
+    sections: Vec<NewSection>,
+    written: Vec<Error>,
+}
+
+impl Sections<'_> {
+    /// Returns line and forms of an error; `None` where they are not worth a section.
+    fn parts(&self, error: Error) -> Option<(f64, Vec<f64>)> {
+        let known = self.known.iter().find(|it| it.error == error)?;
+        if !known.acts || known.size.abs() < SMALLEST {
+            return None;
+        }
+        let (mut line, mut forms) = (0.0, Vec::new());
+        for at in self.constants.of_error(error) {
+            match self.constants.all[at].part {
+                Part::Form(_) => forms.push(self.mean[at]),
+                _ => line = self.mean[at],
+            }
+        }
+        Some((line, forms))
+    }
+
+    fn spline(&self, error: Error) -> Option<BSpline> {
+        let (line, forms) = self.parts(error)?;
+        let modes = self.constants.modes[error.along()?.index()].as_ref()?;
+        Some(modes.spline(&forms, line))
+    }
+
+    fn remark(&self, error: Error) -> String {
+        let known = self.known.iter().find(|it| it.error == error && it.is_known);
+        match known {
+            Some(it) => {
+                format!(
+                    "{error}, from trueup fit volume: ±{:.2} {} (95 %).",
+                    it.half_width,
+                    error.unit()
+                )
+            }
+            None => format!(
+                "{error}, from trueup fit volume: not known by itself, right with the others where it was measured."
+            ),
+        }
+    }
+
+    fn positions(&mut self, warnings: &mut Vec<String>) {
+        for axis in LinearAxis::ALL {
+            let error = Error::Position(axis);
+            let Some(curve) = self.spline(error) else { continue };
+            let own = &self.machine.axes[axis.index()];
+            if own.dual.is_some() {
+                warnings.push(format!(
+                    "{} has two drives: its positions are not written. `trueup fit pitch` fits both tables",
+                    axis.name()
+                ));
+                continue;
+            }
+            let pitch = table(&curve, own.pitch.as_ref());
+            let mut section = NewSection::new(format!("axis.{}.pitch", axis.name()))
+                .remark(self.remark(error))
+                .number("start_mm", pitch.start_mm)
+                .number("step_mm", pitch.step_mm)
+                .numbers("forward_um", pitch.forward_um);
+            if let Some(reverse_um) = pitch.reverse_um {
+                section = section.numbers("reverse_um", reverse_um);
+            }
+            self.sections.push(section);
+            self.written.push(error);
+        }
+    }
+
+    fn straightness(&mut self) {
+        for error in self.constants.errors() {
+            let Error::Straightness(axis, along) = error else { continue };
+            let Some(curve) = self.spline(error) else { continue };
+            let there = self.machine.straightness.iter();
+            let mut there = there.filter(|it| (it.error, it.along) == (axis, along));
+            let sum = together(curve, there.next().map(|it| &it.spline), |_| 0.0);
+            self.push_spline(NewSection::new(error.key()), error, sum, "control_um");
+        }
+    }
+
+    fn push_spline(&mut self, section: NewSection, error: Error, spline: BSpline, control: &str) {
+        let round = |values: Vec<f64>| -> Vec<f64> {
+            values.into_iter().map(|it| rounded(it, DECIMALS)).collect()
+        };
+        let section = section
+            .remark(self.remark(error))
+            .whole("order", 4)
+            .numbers("knots_mm", round(spline.knots_mm))
+            .numbers(control, round(spline.control_um));
+        self.sections.push(section);
+        self.written.push(error);
+    }
+
+    fn squareness(&mut self) {
+        let mut angles = self.machine.squareness.clone();
+        let mut remarks = Vec::new();
+        for error in self.constants.errors() {
+            let Error::Squareness(axis, along) = error else { continue };
+            let Some((um_per_m, _)) = self.parts(error) else { continue };
+            match angles.iter_mut().find(|it| (it.error, it.along) == (axis, along)) {
+                Some(angle) => angle.um_per_m = rounded(angle.um_per_m + um_per_m, DECIMALS),
+                None => {
+                    let um_per_m = rounded(um_per_m, DECIMALS);
+                    angles.push(Squareness { error: axis, along, um_per_m });
+                }
+            }
+            remarks.push(self.remark(error));
+            self.written.push(error);
+        }
+        if !remarks.is_empty() {
+            let section =
+                remarks.into_iter().fold(NewSection::new("squareness"), NewSection::remark);
+            let section =
+                angles.iter().fold(section, |it, angle| it.number(angle.name(), angle.um_per_m));
+            self.sections.push(section);
+        }
+    }
+
+    fn angles(&mut self) {
+        for error in self.constants.errors() {
+            let Error::Angle(about, along) = error else { continue };
+            let Some(curve) = self.spline(error) else { continue };
+            let there = self.machine.volume.angular.iter();
+            let mut there = there.filter(|it| (it.about, it.along) == (about, along));
+            let sum = match there.next().map(|it| &it.angle) {
+                None => curve,
+                Some(Angle::Curve(spline)) => together(curve, Some(spline), |_| 0.0),
+                Some(Angle::Line(urad_per_m)) => {
+                    together(curve, None, |mm| urad_per_m * mm / 1000.0)
+                }
+            };
+            self.push_spline(NewSection::new(error.key()), error, sum, "control_urad");
+        }
+    }
+
+    fn rotary(&mut self) {
+        for axis in RotaryAxis::ALL {
+            let there = self.machine.volume.rotary.iter().find(|it| it.axis == axis);
+            let (mut numbers, mut remarks) = (Vec::new(), Vec::new());
+            for error in self.constants.errors() {
+                let (of, before) = match error {
+                    Error::Shift(along, of) => {
+                        (of, there.map_or(0.0, |it| it.shift_um[along.index()]))
+                    }
+                    Error::Tilt(about, of) => {
+                        (of, there.map_or(0.0, |it| it.tilt_urad[about.index()]))
+                    }
+                    _ => continue,
+                };
+                if of != axis {
+                    continue;
+                }
+                let found = self.parts(error).map(|(value, _)| value);
+                let value = rounded(before + found.unwrap_or(0.0), DECIMALS);
+                if found.is_some() {
+                    remarks.push(self.remark(error));
+                    self.written.push(error);
+                }
+                if value != 0.0 {
+                    let key = error.key();
+                    numbers.push((key.rsplit('.').next().unwrap_or_default().to_string(), value));
+                }
+            }
+            if remarks.is_empty() {
+                continue;
+            }
+            let section = NewSection::new(format!("rotary.{}", axis.name())).keeping(&["point_mm"]);
+            let section = remarks.into_iter().fold(section, NewSection::remark);
+            self.sections
+                .push(numbers.into_iter().fold(section, |it, (key, value)| it.number(key, value)));
+        }
+    }
+}
+
+/// Returns a table of a curve and of the table that was there.
+fn table(curve: &BSpline, there: Option<&Pitch>) -> Pitch {
+    let ends = [curve.knots_mm[0], curve.knots_mm[curve.knots_mm.len() - 1]];
+    let (mut first, mut last) = (ends[0], ends[1]);
+    let mut step = (last - first) / STEPS as f64;
+    if let Some(there) = there {
+        let end = there.start_mm + there.step_mm * (there.forward_um.len() as f64 - 1.0);
+        (first, last) = (first.min(there.start_mm), last.max(end));
+        step = step.min(there.step_mm);
+    }
+    first = rounded(first, DECIMALS);
+    step = rounded(step.max((last - first) / MAX_POINTS as f64), DECIMALS);
+    let points = ((last - first) / step).ceil() as usize + 1;
+    let of = |direction: f64| -> Vec<f64> {
+        let um = |n: usize| {
+            let mm = first + step * n as f64;
+            spline_um(curve, mm) + there.map_or(0.0, |there| pitch_um(there, mm, direction))
+        };
+        (0..points).map(|n| rounded(um(n), DECIMALS)).collect()
+    };
+    let reverse_um = there.and_then(|there| there.reverse_um.as_ref()).map(|_| of(-1.0));
+    Pitch { start_mm: first, step_mm: step, forward_um: of(1.0), reverse_um }
+}
+
+/// Returns the sum of a curve, of the spline that was there, and of another function over the curve's travel.
+fn together(curve: BSpline, there: Option<&BSpline>, other: impl Fn(f64) -> f64) -> BSpline {
+    let mut knots: Vec<f64> = curve.knots_mm.clone();
+    knots.extend(there.iter().flat_map(|it| it.knots_mm.iter().copied()));
+    knots.sort_unstable_by(f64::total_cmp);
+    let (first, last) = (knots[0], knots[knots.len() - 1]);
+    knots.dedup_by(|a, b| (*a - *b).abs() < 1e-3 * (last - first));
+    let inner = knots[1..knots.len() - 1].to_vec();
+    let at_mm =
+        |mm: f64| spline_um(&curve, mm) + there.map_or(0.0, |it| spline_um(it, mm)) + other(mm);
+    let mut at: Vec<f64> =
+        (0..=SAMPLES).map(|n| first + (last - first) * f64::from(n) / f64::from(SAMPLES)).collect();
+    // Each piece has points of its own.
+    let inside = |pair: &[f64]| [1.0, 2.0, 3.0].map(|n| pair[0] + (pair[1] - pair[0]) * n / 4.0);
+    at.extend(knots.windows(2).flat_map(inside));
+    at.sort_unstable_by(f64::total_cmp);
+    let points = at.iter().map(|mm| (*mm, at_mm(*mm), 1.0));
+    let fitted = bspline::least_squares(bspline::clamped(4, first, &inner, last), 4, points);
+    fitted.map_or(curve.clone(), |it| it.spline)
+}

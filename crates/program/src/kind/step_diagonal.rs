@@ -1,0 +1,118 @@
+//! The four body diagonals in steps of one axis at a time, for a laser along each: three readings a step tell X, Y and Z apart,
+//! which a diagonal in one move does not.
+//!
+//! ```text
+//!        ┌ Z, read       each step: one axis, read, the next axis, read, the third axis, read
+//!   Y ───┘ read          the way back is the way there, without readings
+//!   │ read
+//!   X
+//! ```
+//!
+//! A beam that is not along the diagonal is seen by the steps to first order: `fit volume` has its direction as an unknown of
+//! each set-up, so that four diagonals, or circles next to them, are needed.
+
+use trueup_machine::{
+    Machine,
+    file::{Kind, LinearAxis},
+};
+
+use super::{Plans, WITHOUT_CORRECTION, head_at_zero, without_clearance};
+use crate::{
+    options::Options,
+    plan::{Column, Plan, Step},
+    refused::Refused,
+    travel::{Travel, even, micrometres, travels},
+};
+
+/// There so often.
+const REPEATS: u32 = 2;
+/// Steps of each axis.
+const STEPS: f64 = 10.0;
+
+pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+    if machine.kind == Kind::Lathe {
+        return Err(Refused("a body diagonal needs X, Y and Z, and a lathe has no Y".into()));
+    }
+    let (travels, mut notes) = travels(machine, options)?;
+    let mut travels = <[Travel; 3]>::try_from(travels).map_err(|travels| {
+        let names: Vec<&str> = travels.iter().map(|travel| travel.axis.name()).collect();
+        let why = format!(
+            "a body diagonal needs three axes, and only {} may move or is asked for",
+            names.join(", ")
+        );
+        Refused([vec![why], notes.clone()].concat().join("; "))
+    })?;
+    // The tool is retracted before other axes move, and comes last.
+    travels.sort_by_key(|travel| travel.retract.is_some());
+    let all = (0..4).map(|number| plan(machine, &travels, options, number));
+    let plans = all.collect::<Result<Vec<_>, _>>()?;
+    notes.extend(without_clearance(options));
+    Ok((plans, notes))
+}
+
+fn plan(
+    machine: &Machine,
+    travels: &[Travel; 3],
+    options: &Options,
+    number: usize,
+) -> Result<Plan, Refused> {
+    let feed = options.feed();
+    // Each diagonal is one of four corners of the first two axes; the third begins where the tool is retracted.
+    let starts_high = [number & 1 == 1, number & 2 == 2, false];
+    let ordered = |n: usize, ends: [f64; 2]| match (travels[n].retract, starts_high[n]) {
+        (Some(_), _) => travels[n].ordered(ends),
+        (None, true) => [ends[1], ends[0]],
+        (None, false) => ends,
+    };
+    let near = [0, 1, 2].map(|n| ordered(n, [travels[n].low_mm, travels[n].high_mm])[0]);
+    let [from, until] =
+        [0, 1].map(|end: usize| [0, 1, 2].map(|n: usize| ordered(n, travels[n].inside_mm())[end]));
+    let length = (0..3).map(|n| (until[n] - from[n]).powi(2)).sum::<f64>().sqrt();
+    let step_mm = options.step_mm.unwrap_or(length / STEPS);
+    let shares = even(0.0, length, step_mm)
+        .ok_or_else(|| Refused(format!("--step-mm {step_mm} does not fit into {length:.0} mm")))?;
+    let mm = |n: usize, step: usize| {
+        // A length that is rounded to whole micrometres is not 1.
+        micrometres(from[n] + (shares[step] / length).min(1.0) * (until[n] - from[n]))
+    };
+    let go = |n: usize, mm: f64| Step::Move { to_mm: travels[n].at(mm), feed_mm_per_min: feed };
+    let mut run: Vec<Step> = (0..3).map(|n| go(n, mm(n, 0))).collect();
+    run.push(Step::Read(options.dwell_s));
+    for step in 1..shares.len() {
+        for n in 0..3 {
+            run.extend([go(n, mm(n, step)), Step::Read(options.dwell_s)]);
+        }
+    }
+    for step in (0..shares.len() - 1).rev() {
+        run.extend((0..3).rev().map(|n| go(n, mm(n, step))));
+    }
+    run.extend((0..3).rev().map(|n| go(n, near[n])));
+    let times = options.repeats.unwrap_or(REPEATS);
+    let mut steps: Vec<Step> = (0..3).rev().map(|n| travels[n].approach(near[n])).collect();
+    steps.push(Step::Repeat { times, steps: run });
+    let mut columns = vec![Column::Run];
+    columns.extend(LinearAxis::ALL.map(|axis| Column::Position(axis.index())));
+    columns.extend(LinearAxis::ALL.map(|axis| Column::Direction(axis.index())));
+    columns.push(Column::Empty("measured_diagonal_um".into()));
+    let file = |number: usize| format!("--run step-diagonal-{}-xyz.csv", number + 1);
+    Ok(Plan {
+        name: format!("step-diagonal-{}-xyz", number + 1),
+        notes: vec![
+            WITHOUT_CORRECTION.to_string(),
+            "Lay the beam along the line from the first to the last position; a mirror that is wide enough stays in it while one \
+             axis steps."
+                .into(),
+            "The reading is the way along that line, actual minus commanded, plus where it is too long.".into(),
+        ],
+        precautions: head_at_zero(machine).into_iter().collect(),
+        approach_mm_per_min: options.approach_mm_per_min,
+        steps,
+        columns,
+        then: format!(
+            "trueup fit volume {}",
+            [0, 1, 2, 3].map(file).join(" ")
+        ),
+        is_lathe: false,
+        records: Vec::new(),
+    })
+}
