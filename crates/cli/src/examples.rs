@@ -21,8 +21,8 @@ macro_rules! files {
 const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
         "scenario-lathe.toml" "scenario-mill.toml" "scenario-warmup.toml" "spindle_paper_table1.csv"),
-    files!("data/mill/" => "mill/": "README.md" "axis-heat-x.csv" "backlash-x.csv" "circle-ccw.csv" "circle-cw.csv"
-        "diagonal-xy.csv" "mill.toml" "pitch-x.csv" "straightness-x.csv" "straightness-y.csv" "warmup-off.csv"
+    files!("data/mill/" => "mill/": "README.md" "axis-heat-x.csv" "backlash-x.csv" "balls.csv" "circle-ccw.csv" "circle-cw.csv"
+        "diagonal-xy.csv" "mill.toml" "pitch-x.csv" "straightness-x.csv" "straightness-y.csv" "volume.toml" "warmup-off.csv"
         "warmup-on.csv"),
     files!("data/mill/years/" => "mill/years/": "2024-11-04-backlash-x.csv" "2025-05-05-backlash-x.csv"
         "2025-11-03-backlash-x.csv"),

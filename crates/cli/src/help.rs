@@ -72,7 +72,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ),
     (
         "fit volume",
-        "trueup fit volume --run balls.csv --run diagonals.csv --machine machine.toml -o fitted.toml --instrument-um 1 --scale-um-per-m 1",
+        "trueup fit volume --run mill/balls.csv --machine mill/volume.toml -o fitted.toml --instrument-um 1 --scale-um-per-m 1",
     ),
     (
         "fit table1",

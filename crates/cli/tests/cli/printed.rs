@@ -35,12 +35,14 @@ const ELSEWHERE: &[(&str, &str)] = &[
 
 /// Files that the reader of a page has, and the example that stands for each.
 const OF_READER: &[(&str, &str)] = &[
+    ("balls.csv", "mill/balls.csv"),
     ("ccw.csv", "mill/circle-ccw.csv"),
     ("cw.csv", "mill/circle-cw.csv"),
     ("lathe.toml", "linuxcnc/trueup_lathe.toml"),
     ("machine.toml", "mill/mill.toml"),
     ("mill.toml", "mill/mill.toml"),
     ("my_machine.toml", "mill/mill.toml"),
+    ("volume.toml", "mill/volume.toml"),
     ("mill-7-2026-11-22.csv", "mill/warmup-off.csv"),
 ];
 
