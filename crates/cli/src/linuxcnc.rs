@@ -2,6 +2,7 @@
 
 mod component;
 mod configure;
+mod keep;
 mod running;
 
 use std::{

@@ -116,7 +116,9 @@ fn text(entry: Entry, file: &str) -> String {
 fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
     let text = text(Entry::Joint, "trueup_realtime.hal");
     assert!(
-        text.contains("loadrt trueup_node file=[TRUEUP](CALIBRATION) joints=.XYZY\n"),
+        text.contains(
+            "loadrt trueup_node file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT) joints=.XYZY\n"
+        ),
         "{text}"
     );
     let at = |line: &str| text.find(line).unwrap_or_else(|| panic!("{line} is in\n{text}"));
@@ -152,7 +154,9 @@ fn inputs_are_connected_by_their_names_and_those_that_are_missing_are_named() {
     }
     // What nothing drives would be 0 degrees.
     assert!(
-        !text.contains("temp-05") && !text.contains("loadusr") && !text.contains("joint-3-vel")
+        !text.contains("temp-05")
+            && text.contains("loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)")
+            && !text.contains("joint-3-vel")
     );
     assert!(
         said.iter().any(|it| it.contains("trueup-temp-05") && it.contains("temp_bed_c")),

@@ -7,6 +7,8 @@
  * joints  a letter for each joint whose drive gets an offset, in the order of their numbers; a dot for any other. Without
  *         it offsets enter as external offsets of the axes
  * rotary  1: angle-1 and angle-2 are given
+ * heat    the machine's heat from before a restart; trueup linuxcnc keep writes it while LinuxCNC runs. Without it the
+ *         machine counts as cold
  *
  * Pins are those of the component trueup (docs/book/src/linuxcnc.md), and these more:
  *
@@ -24,6 +26,8 @@
 #include <fcntl.h>
 #include <math.h>
 #include <string.h>
+#include <sys/mman.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "trueup_servo.h"
@@ -36,6 +40,8 @@ static char *file = "";
 RTAPI_MP_STRING(file, "calibration")
 static char *joints = "";
 RTAPI_MP_STRING(joints, "axis letters of the joints that get an offset")
+static char *heat = "";
+RTAPI_MP_STRING(heat, "the heat from before a restart")
 static int rotary = 0;
 RTAPI_MP_INT(rotary, "angles are given")
 
@@ -75,6 +81,11 @@ static int axis_of[TRUEUP_JOINTS];
 static uint8_t memory[TRUEUP_SERVO_BYTES] __attribute__((aligned(16)));
 static uint8_t calibration[MAX_CALIBRATION];
 static size_t length;
+/* The heat from before, and where it is saved: in memory that the program trueup linuxcnc keep reads. */
+static uint8_t heat_before[TRUEUP_RETAINED_BYTES];
+static uint8_t *heat_now;
+static const char heat_memory[] = "/dev/shm/trueup_heat";
+static time_t loaded_s;
 /* What went wrong in the servo thread; it is said once. */
 static int32_t refused;
 static int started;
@@ -172,6 +183,7 @@ static void step(void *unused, long period)
         *pins->scale = MM_PER_COUNT / settings.mm_per_unit;
         refused = trueup_servo_start(memory, sizeof memory, calibration, length, &settings, (uint64_t)period);
         started = 1;
+        if (!refused && *heat) trueup_servo_resume(memory, heat_before, (uint32_t)loaded_s);
     }
     if (!refused) {
         read_inputs(&inputs);
@@ -183,6 +195,7 @@ static void step(void *unused, long period)
         return;
     }
     write_outputs(&outputs);
+    if (heat_now) trueup_servo_retain(memory, heat_now);
 }
 
 /* Pins in one line each; they return 0, or what the HAL says. */
@@ -306,6 +319,31 @@ static int load_calibration(void)
     return number ? -1 : 0;
 }
 
+/* Reads the heat from before, and makes the memory for that from now on. What does not succeed is said, and costs the
+ * heat alone. */
+static void load_heat(void)
+{
+    int from, memory_file;
+    void *place;
+    if (!*heat) return;
+    loaded_s = time(NULL);
+    from = open(heat, O_RDONLY | O_CLOEXEC);
+    if (from >= 0) {
+        if (read(from, heat_before, sizeof heat_before) != sizeof heat_before) memset(heat_before, 0, sizeof heat_before);
+        close(from);
+    }
+    memory_file = open(heat_memory, O_RDWR | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0600);
+    if (memory_file < 0 || ftruncate(memory_file, TRUEUP_RETAINED_BYTES)) {
+        SAY("%s cannot be made: the heat is not kept over a restart\n", heat_memory);
+        if (memory_file >= 0) close(memory_file);
+        return;
+    }
+    place = mmap(NULL, TRUEUP_RETAINED_BYTES, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_POPULATE, memory_file, 0);
+    close(memory_file);
+    if (place == MAP_FAILED) SAY("%s cannot be mapped: the heat is not kept over a restart\n", heat_memory);
+    else heat_now = place;
+}
+
 /* Finds the axis of each joint. */
 static int read_joints(void)
 {
@@ -329,6 +367,7 @@ static int read_joints(void)
 int rtapi_app_main(void)
 {
     if (load_calibration() || read_joints()) return -1;
+    load_heat();
     component = hal_init("trueup_node");
     if (component < 0) return -1;
     pins = hal_malloc(sizeof *pins);
@@ -345,4 +384,6 @@ int rtapi_app_main(void)
 void rtapi_app_exit(void)
 {
     hal_exit(component);
+    /* The program that keeps the heat ends with it. */
+    if (heat_now) unlink(heat_memory);
 }

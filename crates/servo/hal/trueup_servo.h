@@ -8,6 +8,7 @@
 #define TRUEUP_SERVO_BYTES 65536
 #define TRUEUP_JOINTS 9
 #define TRUEUP_TEMPERATURES 8
+#define TRUEUP_RETAINED_BYTES 1224
 
 struct trueup_settings {
     double mm_per_unit, codes_per_v, resolution_v;
@@ -43,6 +44,8 @@ int32_t trueup_servo_start(uint8_t *memory, size_t size, const uint8_t *blob, si
                            const struct trueup_settings *settings, uint64_t period_ns);
 int32_t trueup_servo_step(uint8_t *memory, const struct trueup_inputs *inputs, struct trueup_outputs *outputs,
                           uint64_t period_ns);
+void trueup_servo_resume(uint8_t *memory, const uint8_t *copies, uint32_t now_s);
+int32_t trueup_servo_retain(uint8_t *memory, uint8_t *copies);
 const char *trueup_servo_reason(int32_t number);
 
 #endif

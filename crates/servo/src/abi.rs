@@ -8,7 +8,10 @@ use core::{ffi::c_char, mem, ptr, slice};
 
 use trueup_core::dimensions::CHANNELS;
 use trueup_linuxcnc_core::joint::MAX_JOINTS;
-use trueup_store::calibration::BlobError;
+use trueup_store::{
+    calibration::BlobError,
+    retained::{Copies, SIZE},
+};
 
 use crate::{
     sensor::SensorScale,
@@ -19,6 +22,9 @@ use crate::{
 pub const BYTES: usize = 65_536;
 /// Alignment of this memory.
 pub const ALIGNMENT: usize = 16;
+/// Bytes of the two copies of what outlasts a restart.
+pub const RETAINED_BYTES: usize = 2 * SIZE;
+const _: () = assert!(RETAINED_BYTES == mem::size_of::<Copies>());
 const _: () = assert!(mem::size_of::<Servo>() <= BYTES && mem::align_of::<Servo>() <= ALIGNMENT);
 
 /// [`Settings`] in C.
@@ -251,6 +257,32 @@ pub unsafe extern "C" fn trueup_servo_step(
         }
         Err(refusal) => number::of(&refusal),
     }
+}
+
+/// Goes on with the heat from before a restart; `now_s` is the wall's clock, 0: there is none. Without this call the
+/// machine counts as cold.
+///
+/// # Safety
+/// `memory` is that of a bridge that was started; `copies` has [`RETAINED_BYTES`].
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8, now_s: u32) {
+    // SAFETY: the caller's word; null is looked at. Copies are bytes, which need no alignment.
+    let all = unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<Copies>().as_ref()) };
+    if let (Some(servo), Some(copies)) = all {
+        servo.resume(copies, (now_s != 0).then_some(now_s));
+    }
+}
+
+/// Saves the heat once a second. Returns 1 if it did.
+///
+/// # Safety
+/// As [`trueup_servo_resume`]; another process may read the copies meanwhile, and finds by the CRC which one is whole.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn trueup_servo_retain(memory: *mut u8, copies: *mut u8) -> i32 {
+    // SAFETY: as above.
+    let all = unsafe { (memory.cast::<Servo>().as_mut(), copies.cast::<Copies>().as_mut()) };
+    let (Some(servo), Some(copies)) = all else { return 0 };
+    i32::from(servo.retain(copies))
 }
 
 /// Returns the sentence for the number of a refusal.

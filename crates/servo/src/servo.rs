@@ -32,7 +32,10 @@ use trueup_linuxcnc_core::{
     offsets,
 };
 use trueup_node::node::{Line, Node};
-use trueup_store::calibration::{self, BlobError, identity};
+use trueup_store::{
+    calibration::{self, BlobError, identity},
+    retained::{self, Copies},
+};
 
 use crate::{
     sensor::{Samples, SensorScale},
@@ -43,6 +46,9 @@ pub use trueup_linuxcnc_core::component::Outputs;
 
 /// The bridge is next door: silence for so long is a fault of this program.
 const STALE: Duration = Duration::from_millis(100);
+/// What outlasts a restart is saved so often: no heat changes faster.
+const RETAIN_US: u64 = 1_000_000;
+const US_PER_S: u64 = 1_000_000;
 const NS_PER_US: u64 = 1_000;
 const US_PER_TICK: u64 = 1_000;
 /// LinuxCNC rounds a period to its timer.
@@ -154,6 +160,11 @@ pub struct Servo {
     now_us: u64,
     /// Time of a tick that has passed already.
     pending_us: u64,
+    /// The wall's clock at the start, in seconds.
+    started_s: Option<u32>,
+    retain_at_us: u64,
+    /// Of the next copy.
+    copy: u32,
 }
 
 /// Returns the ticks' time of a servo period.
@@ -234,6 +245,9 @@ impl Servo {
             since_heartbeat_us: 0,
             now_us: 0,
             pending_us: 0,
+            started_s: None,
+            retain_at_us: RETAIN_US,
+            copy: 1,
         })
     }
 
@@ -243,9 +257,25 @@ impl Servo {
         &self.node
     }
 
-    /// Returns the node, to start it with what was retained.
-    pub fn node_mut(&mut self) -> &mut Node<'static> {
-        &mut self.node
+    /// Goes on with the heat from before a restart, `copies` as they were saved last. `now_s`: the wall's clock. Where it
+    /// does not say for how long nothing ran, or no copy is whole, the heat is not known, as on the board after a power cut.
+    pub fn resume(&mut self, copies: &Copies, now_s: Option<u32>) {
+        self.started_s = now_s;
+        let off_s = retained::off_s(copies, now_s);
+        let kept = retained::load(copies).filter(|_| off_s.is_some());
+        self.node.resume(kept.as_ref(), off_s.unwrap_or(0));
+    }
+
+    /// Saves the heat into the older of the copies once a second. Returns true if it did.
+    pub fn retain(&mut self, copies: &mut Copies) -> bool {
+        if self.now_us < self.retain_at_us {
+            return false;
+        }
+        self.retain_at_us = self.now_us.saturating_add(RETAIN_US);
+        let passed_s = u32::try_from(self.now_us / US_PER_S).unwrap_or(u32::MAX);
+        let now_s = self.started_s.map(|started| started.saturating_add(passed_s));
+        self.copy = retained::save_as(copies, self.copy, &self.node.kept(), now_s);
+        true
     }
 
     /// Returns the nanometres in a machine unit.

@@ -16,6 +16,8 @@ use trueup_emulator::{
     setup::{self, LinuxCnc},
 };
 
+use trueup_store::retained::{self, SIZE};
+
 use super::{
     stock_files::{OWN, ini},
     texts, tool,
@@ -172,5 +174,10 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     );
     ensure!(cycles.len() > 5_000 && goal.0 == 0 && goal.1 < 0.05, "{goal:?}");
     ensure!(act.0 <= 1 && act.1 < 0.1, "{act:?}");
+    let heat = cnc.folder().join("trueup_heat.bin");
+    let bytes = fs::read(&heat).with_context(|| format!("{} is kept", heat.display()))?;
+    let mut copies = [[0; SIZE]; 2];
+    copies.as_flattened_mut().copy_from_slice(&bytes);
+    ensure!(retained::load(&copies).is_some(), "a copy of the heat is whole");
     cnc.end()
 }

@@ -25,6 +25,7 @@ use trueup_machine::{Machine, check::Warning};
 
 use super::{
     component::{self, Component},
+    keep::{self, Keep},
     running,
 };
 use crate::{Outcome, UserError, files, output, report};
@@ -69,6 +70,10 @@ pub enum Command {
     /// Needs Debian's linuxcnc-uspace-dev, and the library trueup_servo, which comes with trueup. Without --install the
     /// component is left in the folder of --out.
     Component(Component),
+    /// Keeps the heat of a machine without a board over a restart: copies it from the servo thread to a file.
+    ///
+    /// LinuxCNC starts it by the HAL file of setup; it ends by itself after LinuxCNC.
+    Keep(Keep),
     /// Says what setup has written, and, while LinuxCNC runs, what the offsets do.
     ///
     /// Exit 3: not set up, not up to date, or without live offsets.
@@ -213,6 +218,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Setup(args) if args.remove => removed(args, as_json),
         Command::Setup(args) => set_up(args, as_json),
         Command::Component(args) => component::run(args, as_json),
+        Command::Keep(args) => keep::run(args),
         Command::Status(args) => status(args, as_json),
     }
 }

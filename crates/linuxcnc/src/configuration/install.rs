@@ -20,7 +20,7 @@ use super::{
     ini_lines::{BEGIN, END, IniLines, is_file},
     installed::{Bridge, SECTION, by_hand},
     joints::{joints, ratio},
-    no_board::CALIBRATION,
+    no_board::{CALIBRATION, HEAT},
     wiring::{self, COMPONENT, REALTIME, WRITTEN},
 };
 use crate::ini::Ini;
@@ -95,7 +95,10 @@ pub fn setup(
     section.extend(bridge.machine.iter().map(|machine| format!("MACHINE = {machine}")));
     match demand.no_board {
         // LinuxCNC may be started from anywhere.
-        Some(_) => section.push(format!("CALIBRATION = {}", calibration(ini).display())),
+        Some(_) => section.extend([
+            format!("CALIBRATION = {}", whole_path(ini, CALIBRATION).display()),
+            format!("HEAT = {}", whole_path(ini, HEAT).display()),
+        ]),
         None => section.push(format!("POSITION_PERIOD_MS = {}", bridge.position_period_ms)),
     }
     blocks.at_end.insert(ini.path().to_path_buf(), section);
@@ -123,18 +126,22 @@ pub fn remove(ini: &IniLines) -> Result<Vec<Change>, BadInput> {
         }
     }
     changes.extend(calibration_change(ini, None)?);
+    let heat = whole_path(ini, HEAT);
+    if is_file(&heat) {
+        changes.push(Change { path: heat, content: None });
+    }
     Ok(changes)
 }
 
-/// Returns where the calibration is written.
-fn calibration(ini: &IniLines) -> PathBuf {
+/// Returns the whole path of a file next to the INI file.
+fn whole_path(ini: &IniLines, name: &str) -> PathBuf {
     let folder = ini.folder();
-    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(CALIBRATION)
+    std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(name)
 }
 
 /// Returns the change of the calibration's file, if it has to change. What is no calibration belongs to somebody else.
 fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
-    let path = calibration(ini);
+    let path = whole_path(ini, CALIBRATION);
     let before = if is_file(&path) { Some(bounded::read(&path, MOST_BYTES)?) } else { None };
     if before.as_ref() == blob || before.as_ref().is_some_and(|it| whole(it).is_err()) {
         return Ok(None);

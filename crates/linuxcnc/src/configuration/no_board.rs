@@ -6,6 +6,8 @@ use trueup_machine::{
     model::over_compensation_um,
 };
 
+/// The file of the heat, next to the INI file: written while LinuxCNC runs.
+pub const HEAT: &str = "trueup_heat.bin";
 /// The file of the calibration, next to the INI file.
 pub const CALIBRATION: &str = "trueup_calibration.bin";
 

@@ -71,7 +71,7 @@ pub(super) fn load(
     joints: &[Joint],
     demand: &Demand,
 ) -> String {
-    let mut text = format!("\nloadrt {MODULE} file=[TRUEUP](CALIBRATION)");
+    let mut text = format!("\nloadrt {MODULE} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)");
     if demand.entry == Entry::Joint {
         let _ = write!(text, " joints={}", letters(joints));
     }

@@ -29,7 +29,7 @@ use super::{
     hal_files::{BadThread, CONTROLLER, HalFiles},
     ini_lines::IniLines,
     joints::Joint,
-    no_board::CALIBRATION,
+    no_board::{CALIBRATION, HEAT},
     servo_lines::{self, FUNCTION, MODULE, rounded},
 };
 use crate::ini::Ini;
@@ -115,7 +115,7 @@ pub fn by_hand(ini: &IniLines, hal: &HalFiles, joints: &[Joint], demand: &Demand
         None => "",
     };
     let bridge = match demand.no_board {
-        Some(_) => format!("CALIBRATION = /FOLDER/{CALIBRATION}\n"),
+        Some(_) => format!("CALIBRATION = /FOLDER/{CALIBRATION}\nHEAT = /FOLDER/{HEAT}\n"),
         None => "PORT = /dev/ttyUSB0\nPOSITION_PERIOD_MS = 2\n".into(),
     };
     format!(
@@ -350,7 +350,8 @@ impl Writer<'_> {
         };
         let mut text = if let Some(no_board) = &demand.no_board {
             format!(
-                "{WRITTEN}\n# The wires of {MODULE}.\n\n{}",
+                "{WRITTEN}\n# What keeps the heat over a restart, and the wires of {MODULE}.\n\n\
+                 loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)\n\n{}",
                 servo_lines::wires(no_board, self.hal)
             )
         } else {

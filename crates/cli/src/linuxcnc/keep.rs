@@ -1,0 +1,82 @@
+//! `trueup linuxcnc keep`: the heat of a machine without a board, from the memory of the servo thread to a file.
+//!
+//! The component `trueup_node` writes two copies in turn, each with its number and CRC, into a file in memory: a servo
+//! thread must not wait for a disk. Here they are copied to the disk, as a whole, while they are whole. The component reads
+//! them when LinuxCNC starts again.
+
+use std::{
+    fs,
+    io::ErrorKind,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result};
+use clap::Args;
+use trueup_store::retained::{self, Copies, SIZE};
+
+use crate::{Outcome, output};
+
+/// How often the memory is looked at.
+const LOOK: Duration = Duration::from_secs(1);
+/// How often the file is written: what a crash of the computer costs at the most.
+const WRITE: Duration = Duration::from_secs(10);
+/// A servo thread that has saved nothing for so long is gone.
+const GONE: Duration = Duration::from_secs(60);
+
+/// From where to where.
+#[derive(Args)]
+pub struct Keep {
+    /// The file on the disk.
+    #[arg(long, value_name = "FILE")]
+    file: PathBuf,
+    /// The memory of the component.
+    #[arg(long, value_name = "FILE", default_value = "/dev/shm/trueup_heat")]
+    memory: PathBuf,
+}
+
+/// Copies until the component is gone, or it is ended.
+pub fn run(args: &Keep) -> Result<Outcome> {
+    let memory = &args.memory;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
+    let (mut last, mut on_disk) = (None, None);
+    let (mut changed, mut written) = (Instant::now(), Instant::now());
+    loop {
+        let now = whole(memory)?;
+        let is_gone = now.is_none() && last.is_some() && !memory.exists();
+        if now.is_some() && now != last {
+            (last, changed) = (now, Instant::now());
+        }
+        let ends = is_gone || stop.load(Ordering::Relaxed) || changed.elapsed() > GONE;
+        let is_due = on_disk.is_none() || written.elapsed() >= WRITE || ends;
+        if let Some(copies) = last.filter(|_| is_due && last != on_disk) {
+            output::write_whole(&args.file, &[], |out| out.write_all(copies.as_flattened()))?;
+            (on_disk, written) = (last, Instant::now());
+        }
+        if ends {
+            return Ok(Outcome::Done);
+        }
+        thread::sleep(LOOK);
+    }
+}
+
+/// Returns the copies if one of them is whole; a component that has just started has none.
+fn whole(memory: &Path) -> Result<Option<Copies>> {
+    let bytes = match fs::read(memory) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+        bytes => bytes.with_context(|| format!("{} cannot be read", memory.display()))?,
+    };
+    let mut copies = [[0; SIZE]; 2];
+    if bytes.len() != 2 * SIZE {
+        return Ok(None);
+    }
+    copies.as_flattened_mut().copy_from_slice(&bytes);
+    Ok(retained::load(&copies).map(|_| copies))
+}
