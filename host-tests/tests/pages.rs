@@ -21,6 +21,11 @@ use trueup_emulator::{
     },
     process, setup,
 };
+use trueup_fleet::{
+    constants::{Constant, Found},
+    pool::Estimate,
+    record::Record,
+};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_page::micrometres;
 
@@ -139,6 +144,73 @@ fn acceptance() -> String {
     it.expect("comparable").html("a spindle", &trueup_page::Origin::default(), &[])
 }
 
+fn circle() -> String {
+    let folder = setup::root().join("data/mill");
+    let machine = MachineFile::read(&folder.join("mill.toml")).expect("the project's own");
+    let run = |way| RunFile::read(&folder.join(format!("circle-{way}.csv"))).expect("the same");
+    let report = trueup_fit::circle::fit(&["ccw", "cw"].map(run), Some(&machine));
+    trueup_fit::circle::page(&report.expect("a circle"), &trueup_page::Origin::default()).html()
+}
+
+fn fleet() -> String {
+    let record = |number: u8| {
+        let value = if number == 7 { 19.0 } else { 7.0 + 0.5 * f64::from(number % 3) };
+        let estimate = Estimate { value, se: 0.4 };
+        let constant = Constant { parameter: "offset_um".into(), estimate };
+        let found = Found {
+            name: "elongation sensor-offset".into(),
+            identity: None,
+            claimed: true,
+            explains_um: 9.0,
+            constants: vec![constant],
+            alternatives: Vec::new(),
+        };
+        Record {
+            machine: format!("M-{number:04}"),
+            day: None,
+            verdict: "explained".into(),
+            quantity: "elongation".into(),
+            belief: "the same".into(),
+            found: vec![found],
+            fitted: Vec::new(),
+        }
+    };
+    let records: Vec<Record> = (1..=12).map(record).collect();
+    let series = trueup_fleet::series::series(&records, vec!["a note".into()]);
+    trueup_fleet::page::html(&series, "shop", &trueup_page::Origin::default())
+}
+
+/// Returns how many sheets of paper a page takes.
+fn sheets(browser: &Path, folder: &Path, html: &str) -> usize {
+    let (file, print) = (folder.join("page.html"), folder.join("page.pdf"));
+    fs::write(&file, html).expect("written");
+    let output = Command::new(browser)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer"])
+        .arg(format!("--user-data-dir={}", folder.join("profile").display()))
+        .arg(format!("--print-to-pdf={}", print.display()))
+        .arg(format!("file://{}", file.display()))
+        .output();
+    assert!(output.expect("it starts").status.success(), "it prints");
+    let pdf = fs::read(&print).expect("a print");
+    let text = String::from_utf8_lossy(&pdf);
+    let count = text.split("/Type /Pages").nth(1).and_then(|it| it.split("/Count ").nth(1));
+    let count = count.and_then(|it| it.split_whitespace().next()?.parse().ok());
+    count.expect("a PDF states its number of pages")
+}
+
+#[test]
+#[ignore = "long: a browser that prints"]
+fn an_acceptance_is_signed_on_one_sheet() {
+    let Some(browser) = chromium() else {
+        println!("skipped: there is no Chromium here (apt-get install chromium)");
+        return;
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    assert_eq!(sheets(&browser, folder.path(), &acceptance()), 1);
+    // What is longer takes more: the count is that of the print.
+    assert!(sheets(&browser, folder.path(), &demonstration()) > 1);
+}
+
 /// Returns the page of the loop with LinuxCNC, of figures that nobody has measured.
 fn loop_with_linuxcnc() -> String {
     let curve = |size_um: f64| {
@@ -185,6 +257,8 @@ fn no_page_is_cut_or_wrong_in_a_browser() {
         ("demonstration", demonstration()),
         ("diagnosis", diagnosis()),
         ("acceptance", acceptance()),
+        ("circle", circle()),
+        ("fleet", fleet()),
         ("loop with LinuxCNC", loop_with_linuxcnc()),
     ];
     for (name, html) in &pages {

@@ -277,7 +277,7 @@ fn a_step_diagonal_moves_one_axis_at_a_time_between_opposite_corners() {
             let moved = (0..3).filter(|n| pair[0].position_mm[*n] != pair[1].position_mm[*n]);
             assert_eq!(moved.count(), 1, "{pair:?}");
         }
-        assert!(plan.then.starts_with("trueup fit volume --run step-diagonal-1-xyz.csv"));
+        assert!(plan.then[0].starts_with("trueup fit volume --run step-diagonal-1-xyz.csv"));
     }
     assert_eq!(ways.len(), 4, "{ways:?}");
 }

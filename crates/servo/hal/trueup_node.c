@@ -34,7 +34,7 @@
 
 MODULE_AUTHOR("the authors of trueup");
 MODULE_DESCRIPTION("corrects a machine tool: the trueup bridge without a board");
-MODULE_LICENSE("GPL");
+MODULE_LICENSE("Dual MIT/GPL");
 
 static char *file = "";
 RTAPI_MP_STRING(file, "calibration")

@@ -108,10 +108,7 @@ fn plan(
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: format!(
-            "trueup fit volume {}",
-            [0, 1, 2, 3].map(file).join(" ")
-        ),
+        then: vec![format!("trueup fit volume {}", [0, 1, 2, 3].map(file).join(" "))],
         is_lathe: false,
         records: Vec::new(),
     })
