@@ -95,6 +95,8 @@ const EXAMPLES: &[(&str, &str)] = &[
         "linuxcnc setup",
         "trueup linuxcnc setup machine.ini --by joint --port /dev/ttyUSB0 --machine mill/mill.toml",
     ),
+    ("linuxcnc component", "trueup linuxcnc component --install"),
+    ("linuxcnc keep", "trueup linuxcnc keep --file trueup_heat.bin"),
     ("linuxcnc status", "trueup linuxcnc status machine.ini"),
     ("show", "trueup show mill.bin > shown.toml"),
     (

@@ -24,6 +24,7 @@ const ELSEWHERE: &[(&str, &str)] = &[
     ("bridge ", "needs a bridge: tour.rs, bridge.rs, host-tests"),
     ("gateway ", "needs a bridge and a PLC: host-tests"),
     ("linuxcnc component", "needs LinuxCNC's compiler of components: host-tests"),
+    ("linuxcnc keep", "runs while LinuxCNC does: host-tests"),
     ("linuxcnc status", "needs a LinuxCNC that runs: host-tests"),
     ("linuxcnc --port", "is a component of LinuxCNC: host-tests"),
     ("doctor", "what this computer has"),
