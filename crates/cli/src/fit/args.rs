@@ -158,7 +158,7 @@ pub struct Volume {
     /// Where to write the machine file.
     #[arg(short, long, value_name = "OUT.toml")]
     pub output: PathBuf,
-    /// Standard uncertainty of a reading; left out, half of [instrument] of the machine file, else by the readings alone.
+    /// Standard uncertainty of a reading; left out, half of what the machine file states for the instrument, else by the readings alone.
     #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
     pub instrument_um: Option<f64>,
     /// Standard uncertainty of the scale of artefact and laser; left out, the mean scale of the axes is not known.
