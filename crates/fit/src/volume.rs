@@ -17,7 +17,7 @@
 //! | [`constants`] | the errors, and what a unit of each does |
 //! | [`frame`], [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
 //! | [`design`] | the equations |
-//! | [`estimate`] | constants, noise and sizes |
+//! | [`mod@estimate`] | constants, noise and sizes |
 //! | [`judge`] | what is known, and readings that were held out |
 //! | [`next`] | the measurement that would settle the rest |
 //! | [`written`] | sections of the machine file |
