@@ -109,7 +109,7 @@ enum Answer<T> {
 const BACK: &str = "<";
 
 /// Returns the template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
-/// again at once, and `<` goes back: nobody is to answer ten questions twice. `check_name` refuses a name.
+/// again at once, and `<` goes back: no answer is typed twice. `check_name` refuses a name.
 pub fn ask(
     mut template: Template,
     said: &Said,

@@ -1,7 +1,7 @@
 //! A gauge at the tool of a virtual bridge: what the machine does by the run file, less what the CNC has taken away by
 //! the offsets. With it a run without and a run with compensation can be measured on a computer alone.
 //!
-//! It speaks as gauges do: a value a line, in µm, to whoever connects to its port.
+//! It sends as gauges do: a value a line, in µm, to each client of its port.
 
 use std::{
     io::Write as _,
@@ -20,7 +20,7 @@ use crate::plant::Answer;
 /// From one value to the next.
 const PERIOD: Duration = Duration::from_millis(100);
 
-/// What the gauge shows, in µm along the tool.
+/// The parts of a reading, in µm along the tool.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Shown {
     growth_um: f64,
@@ -34,7 +34,7 @@ pub struct Gauge {
     /// `None`: the run file does not say what the tool does.
     shown: Arc<Mutex<Option<Shown>>>,
     tool_direction: [f64; 3],
-    /// What the offsets move.
+    /// The part that the offsets move.
     carrier: &'static str,
 }
 
@@ -87,7 +87,7 @@ impl Gauge {
         }
     }
 
-    /// Speaks to whoever connects to `address`, `HOST:PORT`.
+    /// Sends readings to each client that connects to `address`, `HOST:PORT`.
     ///
     /// # Errors
     /// The port is in use.

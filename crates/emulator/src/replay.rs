@@ -58,7 +58,7 @@ pub struct Replay {
     /// From when on each situation holds, rising from 0.
     from_s: Vec<f64>,
     situations: Vec<Situation>,
-    /// What the tool does in each row, in µm; empty: the run does not say.
+    /// The growth at the tool in each row, in µm; empty if the run does not state it.
     growths_um: Vec<f64>,
     /// When each channel was read, and what it delivered: between two readings a mass goes from one to the other.
     readings: [Vec<(f64, Raw)>; CHANNELS],
@@ -158,8 +158,8 @@ impl Replay {
         now
     }
 
-    /// Returns what the tool does at a time in seconds from the start, in µm: the newest value of the run, 0 before the
-    /// first one; `None`: the run does not say.
+    /// Returns the growth at the tool at a time in seconds from the start, in µm: the newest value of the run, 0 before the
+    /// first one; `None` if the run does not state it.
     #[must_use]
     pub fn growth_um(&self, time_s: f64) -> Option<f64> {
         let next = self.from_s.partition_point(|&from| from <= time_s);

@@ -51,7 +51,7 @@ pub enum SampleSource {
     Plant(Plant),
 }
 
-/// What stands at the virtual machine next to the bridge.
+/// The operator's side of the virtual machine, next to the bridge.
 pub struct AtMachine {
     /// The hand at the CNC.
     pub hand: Hand,

@@ -15,18 +15,7 @@ use trueup_linuxcnc::configuration::{
 };
 use trueup_machine::BadInput;
 
-const INI: &str = "\
-[EMCMOT]
-SERVO_PERIOD = 1000000
-[HAL]
-HALFILE = machine.hal
-[TRAJ]
-COORDINATES = XYZ
-LINEAR_UNITS = mm
-[KINS]
-KINEMATICS = trivkins coordinates=XYZ
-JOINTS = 3
-";
+const INI: &str = include_str!("machine.ini");
 const HAL: &str = "\
 loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS

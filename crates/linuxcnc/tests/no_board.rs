@@ -14,18 +14,7 @@ use trueup_linuxcnc::configuration::{
 };
 use trueup_machine::{Machine, MachineFile};
 
-const INI: &str = "\
-[EMCMOT]
-SERVO_PERIOD = 1000000
-[HAL]
-HALFILE = machine.hal
-[TRAJ]
-COORDINATES = XYZ
-LINEAR_UNITS = mm
-[KINS]
-KINEMATICS = trivkins coordinates=AXYZY
-JOINTS = 5
-";
+const INI: &str = include_str!("machine.ini");
 const HAL: &str = "\
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
@@ -54,7 +43,9 @@ slew_um_per_s = 1000.0
 ";
 
 fn ini() -> String {
-    let mut text = INI.to_string();
+    // Two drives on Y, and A first: the number of a joint is not that of its axis.
+    let mut text =
+        INI.replace("coordinates=XYZ", "coordinates=AXYZY").replace("JOINTS = 3", "JOINTS = 5");
     for (joint, axis) in ["A", "X", "Y", "Z", "Y"].iter().enumerate() {
         if joint < 4 {
             text += &format!("[AXIS_{axis}]\nMAX_VELOCITY = 50\nMAX_ACCELERATION = 1000\n");

@@ -52,7 +52,7 @@ fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
     assert_eq!(lines[1]["offset_um"][0], 0.0);
     assert_eq!(lines[1]["flags"], serde_json::json!([]));
 
-    let heard = heard.lock().expect("nobody panics with it");
+    let heard = heard.lock().expect("no holder panics");
     assert_eq!(heard.frames, 0, "a monitor must not take part");
     assert_eq!(heard.bytes, b"\rC\rS8\rZ0\rO\rC\r", "it opens, listens and closes");
 }
@@ -118,7 +118,7 @@ fn info_tells_version_serial_number_and_state() {
     ] {
         assert!(out.contains(line), "{line}: {out}");
     }
-    assert!(heard.lock().expect("nobody panics with it").frames > 8, "it has asked");
+    assert!(heard.lock().expect("no holder panics").frames > 8, "it has asked");
 
     let (port, _) = bridge(Fault::None);
     let (out, _) = said(&format!("--json bridge info --port {port}"), 0);
@@ -136,7 +136,7 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
         let desk = Desk::new(&[]);
         let (port, heard) = bridge_with(Fault::Loses(lost), false);
         desk.said(&format!("bridge save saved.json --port {port}"), 0);
-        assert!(heard.lock().expect("nobody panics with it").frames > lost);
+        assert!(heard.lock().expect("no holder panics").frames > lost);
         let saved: serde_json::Value =
             serde_json::from_str(&desk.text("saved.json")).expect("JSON");
         let bytes = paper().blob().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
@@ -188,7 +188,7 @@ fn a_serial_device_is_monitored_like_a_port() {
     thread::spawn(move || live(Tty(ours), Fault::None, || true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
-    assert_eq!(heard.lock().expect("nobody panics with it").frames, 0);
+    assert_eq!(heard.lock().expect("no holder panics").frames, 0);
 }
 
 /// Returns a folder with another calibration, `cal.bin`, and its CRC.
@@ -256,11 +256,11 @@ fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     // A CNC that is engaged, on its own line.
     let (port, heard) = bridge_many(Fault::None, true);
     monitor(&port, "1", 0);
-    let before = heard.lock().expect("nobody panics with it").bytes.len();
+    let before = heard.lock().expect("no holder panics").bytes.len();
     let (out, err) = said(&format!("bridge disengage --port {port}"), 3);
     assert_eq!(out, "");
     assert!(err.contains("a CNC commands this bridge and follows its offset, x +0.00"), "{err}");
-    let sent = heard.lock().expect("nobody panics with it").bytes[before..].to_vec();
+    let sent = heard.lock().expect("no holder panics").bytes[before..].to_vec();
     let control = sent.windows(4).any(|bytes| bytes == b"t302");
     assert!(!control, "it must not speak as a CNC: {}", sent.escape_ascii());
 
@@ -312,7 +312,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{err}");
     }
-    assert_eq!(heard.lock().expect("nobody panics with it").bytes, b"");
+    assert_eq!(heard.lock().expect("no holder panics").bytes, b"");
 }
 
 #[test]

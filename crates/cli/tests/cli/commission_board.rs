@@ -82,7 +82,7 @@ impl Shop {
     }
 
     fn now(&self) -> std::sync::MutexGuard<'_, Now> {
-        self.now.lock().expect("nobody panics with it")
+        self.now.lock().expect("no holder panics")
     }
 
     /// Types it where the bridge was started: the hand at the CNC.
@@ -161,7 +161,7 @@ fn play(mut line: &TcpStream, now: &Mutex<Now>) {
     let mut due = Instant::now();
     loop {
         let step = {
-            let mut now = now.lock().expect("nobody panics with it");
+            let mut now = now.lock().expect("no holder panics");
             if now.is_over {
                 return;
             }
@@ -176,7 +176,7 @@ fn play(mut line: &TcpStream, now: &Mutex<Now>) {
         let Some(Ok(answer)) = answers.next() else { return };
         let answer: Value = serde_json::from_str(&answer).expect("JSON");
         let is_free = {
-            let mut now = now.lock().expect("nobody panics with it");
+            let mut now = now.lock().expect("no holder panics");
             // Not available is none.
             now.offset_z_um = answer["offset_um"][2].as_f64().unwrap_or(0.0);
             now.is_free

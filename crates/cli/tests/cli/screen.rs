@@ -29,7 +29,7 @@ fn at_three_sizes_it_shows_the_growth_and_q_ends_it() {
             "q quit",
         ]);
         assert!(text.lines().count() <= size.1.into(), "{text}");
-        let bytes = terminal.bytes.lock().expect("nobody panics with it").clone();
+        let bytes = terminal.bytes.lock().expect("no holder panics").clone();
         let codes = String::from_utf8_lossy(&bytes).into_owned();
         for colour in ["\u{1b}[3", "\u{1b}[9", "\u{1b}[38"] {
             let is_colour = codes.split(colour).skip(1).any(|it| {
@@ -60,7 +60,7 @@ fn without_a_machine_file_it_reads_the_boards_own_calibration() {
     terminal.shows(&["paper, calibration ", "727.50 codes", "spindle growth"]);
     terminal.press("\u{3}");
     assert!(is_ended(terminal.ended().code()), "Ctrl-C");
-    assert!(heard.lock().expect("nobody panics with it").frames > 0, "it has asked");
+    assert!(heard.lock().expect("no holder panics").frames > 0, "it has asked");
 }
 
 #[test]

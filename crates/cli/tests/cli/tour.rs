@@ -23,6 +23,16 @@ use crate::{
 /// The ports of the page.
 const PORTS: [u16; 2] = [3333, 3334];
 const DOWN: &str = "\u{1b}[B";
+const PAGE: &str = include_str!("../../../../docs/book/src/first-day.md");
+/// The last questions of `trueup new` and their answers, the same for both machines.
+const LAST_ANSWERS: [(&str, &str); 6] = [
+    ("displacement sensor at the spindle? y or n [y]", "\r"),
+    ("the end of its range, in V [10]", "\r"),
+    ("for one volt", "50\r"),
+    ("when the machine is cold, in V [5]", "1.54\r"),
+    ("A PT100", "\r"),
+    ("> LinuxCNC", "\r"),
+];
 /// As many readings of the gauge as the page says, and the time between two of them.
 const READINGS: usize = 12;
 const BETWEEN: Duration = Duration::from_secs(4);
@@ -47,6 +57,7 @@ struct Shop {
     work: Terminal,
     bridge: Terminal,
     gauge: Terminal,
+    typed: Vec<String>,
 }
 
 impl Shop {
@@ -69,7 +80,7 @@ impl Shop {
             terminal.shows(&[PROMPT]);
             terminal
         });
-        Self { book: book(), desk, work, bridge, gauge }
+        Self { book: book(), desk, work, bridge, gauge, typed: Vec::new() }
     }
 
     /// Types a line at a terminal, which must stand in the book or have been printed.
@@ -81,6 +92,7 @@ impl Shop {
             "`{line}` stands in no page and was not printed"
         );
         which(self).press(&format!("{line}\r"));
+        self.typed.push(line.to_string());
     }
 
     /// Types a command and waits until it has ended well.
@@ -122,6 +134,15 @@ impl Shop {
         self.gauge.shows(&[PROMPT]);
     }
 
+    /// Checks that no command was left out that the page has for this machine.
+    fn check_page(&self, name: &str) {
+        let other = if name == "mill" { "lathe" } else { "mill" };
+        let is_for_it = |line: &&str| line.starts_with("trueup ") && !line.contains(other);
+        for line in PAGE.lines().filter(is_for_it) {
+            assert!(self.typed.iter().any(|typed| typed == line), "`{line}` was not typed");
+        }
+    }
+
     fn rms_um(&self, run: &str) -> f64 {
         let run = RunFile::read(&self.desk.path(run)).expect("a run file");
         let um = run.column("measured_elongation_um").expect("the gauge's column");
@@ -149,9 +170,14 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
 
     // The machine file.
     shop.type_at(|it| &mut it.work, "trueup new");
-    for (asked, answer) in answers {
+    for (asked, answer) in answers.iter().chain(&LAST_ANSWERS) {
         shop.work.shows(&[asked]);
         shop.work.press(answer);
+        let text = answer.strip_suffix('\r').unwrap_or_default();
+        assert!(
+            text.is_empty() || PAGE.contains(&format!("`{text}`")),
+            "`{text}`: not in the page"
+        );
     }
     shop.work.shows(&[&of("mill.toml: written"), &format!("0{PROMPT}")]);
     shop.run(&of("trueup check mill.toml"));
@@ -200,6 +226,10 @@ fn correct(name: &str, answers: &[(&str, &str)]) -> String {
     let [off_um, on_um] =
         ["mill-off", "mill-on"].map(|it| shop.rms_um(&of(&format!("{it}/bridge.csv"))));
     assert!((moved_um + 10.0).abs() < 0.2 && off_um > 3.0 && on_um < 0.1 * off_um);
+    for file in ["mill-work/accept-1/report.html", "mill-work/log.txt"] {
+        assert!(!shop.desk.text(&of(file)).is_empty(), "{file}");
+    }
+    shop.check_page(name);
 
     // Ctrl-C ends the bridge.
     shop.bridge.clear();
@@ -221,12 +251,6 @@ fn the_first_day_ends_with_a_corrected_mill() {
             ("Travel of Z in mm", "-300:0\r"),
             ("Where are positions measured?", "\r"),
             ("Rapid traverse in mm/min", "15000\r"),
-            ("displacement sensor at the spindle? y or n [y]", "\r"),
-            ("the end of its range, in V [10]", "\r"),
-            ("for one volt", "50\r"),
-            ("when the machine is cold, in V [5]", "1.54\r"),
-            ("A PT100", "\r"),
-            ("> LinuxCNC", "\r"),
         ],
     );
     println!("{figures}");
@@ -248,12 +272,6 @@ fn the_first_day_ends_with_a_corrected_lathe() {
             ("Travel of Z in mm", "-400:0\r"),
             ("Where are positions measured?", "\r"),
             ("Rapid traverse in mm/min", "10000\r"),
-            ("displacement sensor at the spindle? y or n [y]", "\r"),
-            ("the end of its range, in V [10]", "\r"),
-            ("for one volt", "50\r"),
-            ("when the machine is cold, in V [5]", "1.54\r"),
-            ("A PT100", "\r"),
-            ("> LinuxCNC", "\r"),
         ],
     );
     println!("{figures}");

@@ -1,4 +1,4 @@
-//! What a retrofitter has on his disk on the first day: tables and logs of our own making, each read without an edit, with one
+//! Files as a retrofitter has them on the first day: tables and logs of our own making, each read without an edit, with one
 //! answer, or refused in at most three lines that name the form that would do. The counts are asserted.
 
 use std::path::Path;
@@ -7,7 +7,7 @@ use trueup_import::{Refused, import};
 
 use crate::{Topic, answers, column, unit};
 
-/// What becomes of a file.
+/// The result that is expected of a file.
 enum Fate {
     /// It is read as it is; the first line and the first row of the run file.
     Read(&'static str),

@@ -196,7 +196,7 @@ pub fn live(
         match stream.read(&mut bytes) {
             Ok(0) => return,
             Ok(length) => {
-                let mut heard = heard.lock().expect("nobody panics with it");
+                let mut heard = heard.lock().expect("no holder panics");
                 heard.bytes.extend(&bytes[..length]);
                 let frames = bytes[..length].iter().filter_map(|&byte| port.receive(byte));
                 for frame in frames.collect::<Vec<_>>() {

@@ -16,7 +16,7 @@ use rustix::{
 
 use crate::desk::Desk;
 
-/// What a shell of these tests prints when it waits for a command, after the exit code of the last one.
+/// The prompt of a shell of these tests, printed after the exit code of the last command.
 pub const PROMPT: &str = " shop> ";
 
 /// Returns the search path of a shell: before all others a folder in which a test may put programs.
@@ -86,20 +86,20 @@ impl Terminal {
             let mut buffer = [0; 4096];
             // At the end of the other side a read fails.
             while let Ok(length @ 1..) = end.read(&mut buffer) {
-                drawn.lock().expect("nobody panics with it").process(&buffer[..length]);
-                all.lock().expect("nobody panics with it").extend_from_slice(&buffer[..length]);
+                drawn.lock().expect("no holder panics").process(&buffer[..length]);
+                all.lock().expect("no holder panics").extend_from_slice(&buffer[..length]);
             }
         });
         Self { child, keys, screen, bytes, reader }
     }
 
     pub fn text(&self) -> String {
-        self.screen.lock().expect("nobody panics with it").screen().contents()
+        self.screen.lock().expect("no holder panics").screen().contents()
     }
 
     /// Returns all that was printed so far, without the codes that move the cursor.
     pub fn printed(&self) -> String {
-        let bytes = self.bytes.lock().expect("nobody panics with it");
+        let bytes = self.bytes.lock().expect("no holder panics");
         let text = String::from_utf8_lossy(&bytes).into_owned();
         let mut parts = text.split('\u{1b}');
         let first = parts.next().unwrap_or_default().to_owned();
@@ -109,7 +109,7 @@ impl Terminal {
 
     /// Forgets what the screen shows.
     pub fn clear(&self) {
-        self.screen.lock().expect("nobody panics with it").process(b"\x1b[2J\x1b[H");
+        self.screen.lock().expect("no holder panics").process(b"\x1b[2J\x1b[H");
     }
 
     /// Until the screen shows all of these.
