@@ -55,15 +55,23 @@ fn shorter(diagnosis: &Diagnosis, next: &Next, gauge: Gauge) -> Option<f64> {
 
 /// Returns the command that diagnoses the runs before together with this one, as it can be typed.
 fn line(args: &Diagnose) -> String {
-    let Input { machine, runs, off, holdout, .. } = &args.input;
+    // Every field: an option that is left out would change the answer.
+    let Input { machine, runs, off, applied_once, holdout, quantity, matters_um, instrument_um } =
+        &args.input;
     let word = |path: &Path| shell_word(&path.to_string_lossy()).to_string();
     let mut line = format!("trueup diagnose --machine {}", word(machine));
     let next = args.out.join("next.csv");
     for (flag, paths) in [("run", runs), ("run", &vec![next]), ("off", off), ("holdout", holdout)] {
         line.extend(paths.iter().map(|path| format!(" --{flag} {}", word(path))));
     }
-    if let Some(quantity) = args.input.quantity.and_then(|it| it.to_possible_value()) {
+    if *applied_once {
+        line += " --applied-once";
+    }
+    if let Some(quantity) = quantity.and_then(|it| it.to_possible_value()) {
         line += &format!(" --quantity {}", quantity.get_name());
+    }
+    for (flag, um) in [("matters-um", matters_um), ("instrument-um", instrument_um)] {
+        line.extend(um.map(|um| format!(" --{flag} {um}")));
     }
     let mut folder = args.out.clone().into_os_string();
     folder.push("-next");
@@ -136,4 +144,27 @@ pub fn write(
         out.join("next.csv").display()
     ))?;
     commands::print(&plan.then)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        args: Diagnose,
+    }
+
+    #[test]
+    fn the_line_that_comes_next_has_every_option_of_the_input() {
+        let typed = "trueup --machine m.toml --run a.csv --off b.csv --applied-once --holdout c.csv \
+                     --quantity dx --matters-um 3 --instrument-um 1.5 --out d";
+        let cli = Cli::parse_from(typed.split_whitespace());
+        let expected = "trueup diagnose --machine m.toml --run a.csv --run d/next.csv --off b.csv --holdout c.csv \
+                        --applied-once --quantity dx --matters-um 3 --instrument-um 1.5 --out d-next";
+        assert_eq!(line(&cli.args), expected);
+    }
 }
