@@ -91,7 +91,7 @@ fn of_grbl(line: &str) -> Option<Option<[f64; 3]>> {
 pub(super) fn klipper(text: &str, path: &Path) -> Result<Layout, Refused> {
     let touches = text.lines().enumerate();
     let touches = touches.filter_map(|(at, line)| Some((at + 1, Some(of_klipper(line)?))));
-    Ok(layout(&touches.collect::<Vec<_>>(), "mm", path)?)
+    layout(&touches.collect::<Vec<_>>(), || Ok("mm".into()), path)
 }
 
 /// Reads the console of GRBL.
@@ -104,16 +104,16 @@ pub(super) fn grbl(text: &str, answers: &Answers, path: &Path) -> Result<Layout,
         })?;
         touches.push((at + 1, touch));
     }
-    let unit = unit(answers, "GRBL reports in mm, or in inches where $13=1", path)?;
-    Ok(layout(&touches, &unit, path)?)
+    let unit = || unit(answers, "GRBL reports in mm, or in inches where $13=1", path);
+    layout(&touches, unit, path)
 }
 
 /// Reads the file of LinuxCNC.
 pub(super) fn linuxcnc(text: &str, answers: &Answers, path: &Path) -> Result<Layout, Refused> {
     let touch = |(at, line)| Some((at, Some(*nine(line)?.first_chunk()?)));
     let touches: Vec<Touch> = filled(text).filter_map(touch).collect();
-    let unit = unit(answers, "the file of (PROBEOPEN …) states no unit", path)?;
-    Ok(layout(&touches, &unit, path)?)
+    let unit = || unit(answers, "the file of (PROBEOPEN …) states no unit", path);
+    layout(&touches, unit, path)
 }
 
 /// Returns the unit that the user has given.
@@ -131,14 +131,20 @@ fn unit(answers: &Answers, text: &str, path: &Path) -> Result<String, Refused> {
     })
 }
 
-fn layout(touches: &[Touch], unit: &str, path: &Path) -> Result<Layout, BadInput> {
+/// Returns the surface. The unit is asked for last: a log that is refused needs no answer.
+fn layout(
+    touches: &[Touch],
+    unit: impl FnOnce() -> Result<String, Refused>,
+    path: &Path,
+) -> Result<Layout, Refused> {
     let there: Vec<(usize, [f64; 3])> =
         touches.iter().filter_map(|(line, touch)| Some((*line, (*touch)?))).collect();
     let [(first, [.., zero]), _, ..] = there[..] else {
         return Err(BadInput::new(
             Location::start_of(path),
             "has fewer than two points that were touched",
-        ));
+        )
+        .into());
     };
     // A touch scatters: heights that are all the same were commanded.
     if there.iter().all(|(_, [.., z])| *z == zero) {
@@ -146,8 +152,10 @@ fn layout(touches: &[Touch], unit: &str, path: &Path) -> Result<Layout, BadInput
             Location { file: path.into(), line: first, column: 1 },
             "has the same z at every point: it was probed in X or Y, and the side that was touched is not stated",
         )
-        .with_help("give a csv with `target [mm];actual [mm]`, a line for each touch"));
+        .with_help("give a csv with `target [mm];actual [mm]`, a line for each touch")
+        .into());
     }
+    let unit = unit()?;
     let mut notes = vec![NOTE.to_string()];
     if there.len() < touches.len() {
         notes.push(format!(
@@ -162,9 +170,9 @@ fn layout(touches: &[Touch], unit: &str, path: &Path) -> Result<Layout, BadInput
     };
     Ok(Layout {
         columns: vec![
-            source("x", known("x_mm"), unit, &place),
-            source("y", known("y_mm"), unit, &place),
-            source(UNIT_OF, known("measured_dz_um"), unit, &place),
+            source("x", known("x_mm"), &unit, &place),
+            source("y", known("y_mm"), &unit, &place),
+            source(UNIT_OF, known("measured_dz_um"), &unit, &place),
         ],
         rows: there.iter().map(row).collect(),
         notes,
