@@ -50,9 +50,9 @@ const LISTED: usize = 12;
 
 /// Compares the two runs.
 pub fn run(args: &Compare, as_json: bool) -> Result<Outcome> {
-    let (a, b) = (files::run(&args.a, None)?, files::run(&args.b, None)?);
-    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let machine = args.machine.as_ref().map(|path| files::machine(path)).transpose()?;
+    let (a, b) = (files::run(&args.a, machine.as_ref())?, files::run(&args.b, machine.as_ref())?);
+    let quantity: Option<file::Quantity> = args.quantity.map(Quantity::of_machine);
     let [(a, first), (b, second)] = [a, b].map(|run| at_reference(&run, machine.as_ref()));
     let mut it = compare(&a, &b, quantity)?;
     if first != second {

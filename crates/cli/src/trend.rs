@@ -86,7 +86,8 @@ pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
         let constants = match kind.as_str() {
             "toml" => dated::of_machine(&files::machine(&path)?),
             _ => {
-                let (run, note) = at_reference(&files::run(&path, None)?, machine.as_ref());
+                let run = files::run(&path, machine.as_ref())?;
+                let (run, note) = at_reference(&run, machine.as_ref());
                 if !notes.contains(&note) {
                     notes.push(note);
                 }

@@ -47,6 +47,12 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     let all = (0..4).map(|number| plan(machine, &travels, options, number));
     let plans = all.collect::<Result<Vec<_>, _>>()?;
     notes.extend(without_clearance(options));
+    if machine.volume.chain.is_none() {
+        notes.push(
+            "machine.chain is missing: trueup fit volume needs it, for example chain = \"w X' b Y Z t\"; measuring does not"
+                .into(),
+        );
+    }
     Ok((plans, notes))
 }
 
@@ -108,7 +114,11 @@ fn plan(
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        then: vec![format!("trueup fit volume {}", [0, 1, 2, 3].map(file).join(" "))],
+        // All four are measured first.
+        then: (number == 3)
+            .then(|| format!("trueup fit volume {}", [0, 1, 2, 3].map(file).join(" ")))
+            .into_iter()
+            .collect(),
         is_lathe: false,
         records: Vec::new(),
     })
