@@ -11,6 +11,9 @@ pub fn page(report: &VolumeReport, origin: &Origin) -> Page {
     let acting: Vec<&Known> = report.known.iter().filter(|it| it.acts).collect();
     let known = acting.iter().filter(|it| it.is_known).count();
     let (state, heading) = match (report.is_better(), known == acting.len()) {
+        _ if report.held_out.readings == 0 => {
+            ("bad", "Not written: no set-up has enough readings to hold some out")
+        }
         (false, _) => ("bad", "Not written: no correction is better on held-out readings"),
         (true, true) => ("good", "All errors are known"),
         (true, false) => ("open", "Some errors are not known by themselves"),

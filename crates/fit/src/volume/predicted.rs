@@ -1,4 +1,4 @@
-//! What the machine file predicts already at the poses of readings.
+//! The prediction of the machine file at the poses of readings.
 
 use std::fmt::Write as _;
 

@@ -64,7 +64,7 @@ pub fn read(
     Ok(readings)
 }
 
-/// What a run states of each row.
+/// The columns of a run that each row is read from.
 struct Columns<'r> {
     position_mm: [&'r [f64]; 3],
     angle_deg: [Option<&'r [f64]>; 3],

@@ -1,4 +1,4 @@
-//! What is claimed, and what is not: one set-up, one tool, an unknown scale, a gross reading, a sound machine.
+//! The rules of claims: one set-up, one tool, an unknown scale, a gross reading, a sound machine.
 
 use std::path::Path;
 
