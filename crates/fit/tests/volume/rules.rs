@@ -17,15 +17,15 @@ fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run")
 }
 
-fn file(text: &str) -> Machine {
+pub fn file(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
+pub fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
     volume::fit(&[run(text)], machine, options).expect("a fit")
 }
 
-fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r Known {
+pub fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r Known {
     let found = report.known.iter().find(|it| it.error.to_string() == name);
     found.unwrap_or_else(|| panic!("no {name}"))
 }
@@ -125,7 +125,7 @@ fn a_second_fit_of_the_same_readings_finds_nothing_more() {
 }
 
 /// A straight edge along X, read in Z at two places of Y; its own form is a bow of 6 µm.
-fn edge(bow_um: f64, roll_urad: f64, has_points: bool) -> String {
+pub fn edge(bow_um: f64, roll_urad: f64, has_points: bool) -> String {
     let mut text = String::from(if has_points {
         "x_mm,y_mm,z_mm,setup,point,measured_dz_um\n"
     } else {
