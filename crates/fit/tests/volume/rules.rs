@@ -166,6 +166,24 @@ fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
 }
 
 #[test]
+fn two_gauges_on_one_edge_claim_no_straightness_of_its_form() {
+    let believed = file("[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n");
+    let options = Options { instrument_um: Some(0.1), ..Options::default() };
+    let text: String = edge(6.0, 0.0, false)
+        .lines()
+        .map(|line| match line.rsplit_once(',') {
+            Some((row, "measured_dz_um")) => format!("{row},measured_dy_um,measured_dz_um\n"),
+            Some((row, um)) => format!("{row},{um},{um}\n"),
+            None => String::new(),
+        })
+        .collect();
+    let report = fit(&text, &believed, &options);
+    for name in ["EYX", "EZX"] {
+        assert!(!of(&report, name).is_known, "{:?}", of(&report, name));
+    }
+}
+
+#[test]
 fn what_cannot_be_fitted_is_refused_with_what_to_do() {
     let mut machine = Drawn::of_size(0, Some(1.0));
     let at = At { mm: [10.0; 3], deg: [0.0; 3], tool_mm: machine.tools_mm[0] };
