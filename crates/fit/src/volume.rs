@@ -97,10 +97,10 @@ pub struct VolumeReport {
 }
 
 impl VolumeReport {
-    /// Returns whether a correction gains on readings that were held out.
+    /// Returns whether the correction gains on held-out readings by more than the standard error.
     #[must_use]
     pub fn is_better(&self) -> bool {
-        self.held_out.is_better()
+        self.held_out.is_better
     }
 }
 
@@ -183,7 +183,7 @@ pub fn fit(
     }
     let count = constants.all.len();
     let mean: Vec<f64> = found.mean.iter().take(count).copied().collect();
-    let (edit, written) = match held_out.is_better() {
+    let (edit, written) = match held_out.is_better {
         true => written::edit(machine, &constants, &mean, &known, points_mm, &mut warnings),
         false => (Edit::default(), Vec::new()),
     };

@@ -87,7 +87,9 @@ fn why_not(report: &VolumeReport) -> &'static str {
         (0, _) => {
             "no reading could be held out: each set-up has fewer than 12. Measure more places in one set-up"
         }
-        (_, false) => "no correction is better on held-out readings",
+        (_, false) => {
+            "no correction is better on held-out readings by more than the standard error"
+        }
         (_, true) => "no error is large enough",
     }
 }

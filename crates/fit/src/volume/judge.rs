@@ -221,14 +221,8 @@ pub struct HeldOut {
     pub after_um: f64,
     /// Readings that were held out; 0: no set-up has enough of them.
     pub readings: usize,
-}
-
-impl HeldOut {
-    /// Returns whether the correction gains on them.
-    #[must_use]
-    pub fn is_better(&self) -> bool {
-        self.after_um < self.before_um
-    }
+    /// Whether the correction gains on them by more than the standard error of the gain, between places.
+    pub is_better: bool,
 }
 
 /// Returns what is left of readings that were held out, in five blocks of places.
@@ -247,6 +241,7 @@ pub fn held_out(
         distinct.into_iter().map(|at| (at, random.below(BLOCKS))).collect();
     let without = variances.without_errors(design);
     let (mut squares, mut count) = ([0.0; 2], 0);
+    let mut gains: BTreeMap<[i64; 5], f64> = BTreeMap::new();
     for block in 0..BLOCKS {
         let is_of_block = |n: usize| blocks[&places[n]] == block && is_in(n);
         // A set-up of which nothing else is left has no zero.
@@ -264,18 +259,22 @@ pub fn held_out(
             rest.whole -= out.whole;
             rest.count -= out.count;
         }
-        for (square, variances) in squares.iter_mut().zip([&without, variances]) {
-            let found = posterior(&rest, variances);
-            for n in (0..readings.len()).filter(|n| is_out(*n)) {
-                let predicted: f64 =
-                    design.rows[n].iter().zip(found.mean.iter()).map(|(a, b)| a * b).sum();
-                *square += (readings[n].um - predicted).powi(2);
-            }
+        let both = [&without, variances].map(|variances| posterior(&rest, variances));
+        for n in (0..readings.len()).filter(|n| is_out(*n)) {
+            let [before, after] = both.each_ref().map(|found| {
+                let each = design.rows[n].iter().zip(found.mean.iter());
+                (readings[n].um - each.map(|(a, b)| a * b).sum::<f64>()).powi(2)
+            });
+            squares = [squares[0] + before, squares[1] + after];
+            *gains.entry(places[n]).or_default() += before - after;
         }
         count += out.iter().map(|it| it.count).sum::<usize>();
     }
     let [before_um, after_um] = squares.map(|it: f64| (it / count.max(1) as f64).sqrt());
-    HeldOut { before_um, after_um, readings: count }
+    // Without a gain the sum has this standard deviation.
+    let error = gains.values().map(|gain| gain * gain).sum::<f64>().sqrt();
+    let is_better = gains.values().sum::<f64>() > error;
+    HeldOut { before_um, after_um, readings: count, is_better }
 }
 
 /// Returns the place of a reading, the same for repeats and components.

@@ -14,7 +14,9 @@ pub fn page(report: &VolumeReport, origin: &Origin) -> Page {
         _ if report.held_out.readings == 0 => {
             ("bad", "Not written: no set-up has enough readings to hold some out")
         }
-        (false, _) => ("bad", "Not written: no correction is better on held-out readings"),
+        (false, _) => {
+            ("bad", "Not written: the correction is not surely better on held-out readings")
+        }
         (true, true) => ("good", "All errors are known"),
         (true, false) => ("open", "Some errors are not known by themselves"),
     };
