@@ -22,19 +22,38 @@ fn pose(position_mm: [f64; 3]) -> Pose {
     Pose { position_mm, angle_deg: [0.0; 3], tool_mm: 0.0 }
 }
 
-#[test]
-fn an_axis_that_goes_too_far_is_positive_by_a_laser_along_it() {
-    let mut text = String::from("x_mm,y_mm,z_mm,setup,measured_dx_um\n");
+/// Measures X by a laser, with one more column that is 0, and returns by how much 400 mm are found too long.
+fn by_laser_um(machine: &str, column: &str) -> f64 {
+    let mut text = format!("x_mm,y_mm,z_mm,setup,{column},measured_dx_um\n");
     for n in 0..41_u8 {
         let x = 10.0 * f64::from(n);
         let um = TOO_LONG_UM_PER_MM * x + noise_um(x);
-        writeln!(text, "{x},100,50,1,{um:.3}").expect("text");
+        writeln!(text, "{x},100,50,1,0,{um:.3}").expect("text");
     }
-    let mut report = fit(&text, &file(MACHINE), &STATED);
+    let mut report = fit(&text, &file(machine), &STATED);
     let ends = [pose([0.0, 100.0, 50.0]), pose([400.0, 100.0, 50.0])];
+    report.model.difference_um(&ends[0], &ends[1], [1.0, 0.0, 0.0])[0]
+}
+
+#[test]
+fn an_axis_that_goes_too_far_is_positive_by_a_laser_along_it() {
     // 400 mm too long by 24 µm.
-    let [um, _] = report.model.difference_um(&ends[0], &ends[1], [1.0, 0.0, 0.0]);
+    let um = by_laser_um(MACHINE, "run");
     assert!((um - 24.0).abs() < 3.0, "{um}");
+}
+
+#[test]
+fn a_term_that_the_file_has_is_not_found_again_where_another_term_lacks_its_column() {
+    let known = format!(
+        "{MACHINE}[inputs]\ndoor_open = {{ kind = \"condition\", bit = 0 }}\n\
+         [[term]]\ncause = \"pitch-scale\"\nquantity = \"dx\"\num_per_m = 60.0\n\
+         [[term]]\ncause = \"dependence\"\nquantity = \"dx\"\ncolumn = \"door_open\"\nform = \"level\"\n\
+         levels = [0.0, 1.0]\nlevel_um = [0.0, 5.0]\n"
+    );
+    for column in ["run", "door_open"] {
+        let um = by_laser_um(&known, column);
+        assert!(um.abs() < 3.0, "{um} with {column}");
+    }
 }
 
 #[test]
