@@ -121,10 +121,12 @@ pub(crate) fn with_columns(
     used.axes.iter_mut().for_each(|axis| axis.thermal = None);
     (used.spindle.source, used.spindle.tools) = (None, None);
     used.terms.clear();
+    // Columns that the rest of the machine needs.
+    let others = lacks(&used).len();
     let add = |used: &mut Machine, change: &dyn Fn(&mut Machine)| {
         let mut more = used.clone();
         change(&mut more);
-        if lacks(&more).is_empty() {
+        if lacks(&more).len() == others {
             *used = more;
         }
     };
