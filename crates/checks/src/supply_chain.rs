@@ -97,7 +97,7 @@ fn advisories() -> Result<Advisories> {
 /// cargo-deny cannot be built.
 pub fn known_vulnerabilities() -> Result<(String, Option<String>)> {
     let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
-    // Where the files are on this computer is nobody's matter.
+    // The place of the files on this computer is not handed out.
     let plain = |said: String| said.replace(&setup::root().display().to_string(), "/trueup");
     Ok(match advisories()? {
         Advisories::None(said) => (format!("{head}: none.\n{}", plain(said)), None),

@@ -46,7 +46,7 @@ const OFFSET_DECIMALS: usize = 8;
 const ANGLE_DECIMALS: usize = 11;
 const POSITION_DECIMALS: usize = 7;
 
-/// What no description says, and how to try it: part of the report and of the file itself.
+/// The assumptions that no description confirms, and how to try them: part of the report and of the file itself.
 const ASSUMED: &str = "assumed, not tried on a control: values are errors as ISO 230-1 has them, without negate; angles act about machine \
                        zero; a wrong sign doubles the errors";
 const TRY: &str = "before cutting: read an indicator at the point where the file has its largest value, compensation off, then on; the \

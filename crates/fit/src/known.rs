@@ -6,7 +6,8 @@
 use trueup_machine::{
     BadInput, Machine,
     applied::Unaided,
-    file::{ElongationSource, LinearAxis},
+    file::{ElongationSource, LinearAxis, is_temperature_column},
+    model::required_columns,
     predict::Predictor,
 };
 
@@ -93,16 +94,61 @@ pub fn known(
     if !says_something {
         return Ok(None);
     }
-    let missing: Vec<String> = trueup_machine::model::required_columns(&rest)
-        .into_iter()
-        .filter(|name| run.column(name).is_none())
-        .collect();
+    let missing: Vec<String> =
+        required_columns(&rest).into_iter().filter(|name| run.column(name).is_none()).collect();
     if !missing.is_empty() {
         return Ok(Some(Known { um: vec![f64::NAN; run.rows()], missing_columns: missing }));
     }
     let predictor = Predictor::new(&rest, run)?;
     let um = predictor.rows().map(|row| row.model.error_um[axis.index()]).collect();
     Ok(Some(Known { um, missing_columns: Vec::new() }))
+}
+
+/// Returns `machine` with those of its laws of heat, of the spindle and added terms whose columns are there, and the columns that are
+/// not. A law that is there and was left out would be found, and written, a second time.
+pub(crate) fn with_columns(
+    machine: &Machine,
+    is_there: impl Fn(&str) -> bool,
+) -> (Machine, Vec<String>) {
+    let lacks = |machine: &Machine| -> Vec<String> {
+        required_columns(machine).into_iter().filter(|name| !is_there(name)).collect()
+    };
+    let missing = lacks(machine);
+    if missing.is_empty() {
+        return (machine.clone(), missing);
+    }
+    let mut used = machine.clone();
+    used.axes.iter_mut().for_each(|axis| axis.thermal = None);
+    (used.spindle.source, used.spindle.tools) = (None, None);
+    used.terms.clear();
+    // Columns that the rest of the machine needs.
+    let others = lacks(&used).len();
+    let add = |used: &mut Machine, change: &dyn Fn(&mut Machine)| {
+        let mut more = used.clone();
+        change(&mut more);
+        if lacks(&more).len() == others {
+            *used = more;
+        }
+    };
+    for (n, own) in machine.axes.iter().enumerate() {
+        add(&mut used, &|more| more.axes[n].thermal.clone_from(&own.thermal));
+    }
+    add(&mut used, &|more| more.spindle.source = machine.spindle.source);
+    add(&mut used, &|more| more.spindle.tools.clone_from(&machine.spindle.tools));
+    for term in &machine.terms {
+        add(&mut used, &|more| more.terms.push(term.clone()));
+    }
+    (used, missing)
+}
+
+/// Returns whether a prediction by `machine` reads the column, but for positions, angles and directions.
+pub(crate) fn is_input(machine: &Machine, name: &str) -> bool {
+    let is_pose = LinearAxis::ALL.iter().any(|axis| name == format!("{}_mm", axis.name()))
+        || name.ends_with("_deg");
+    let usual = ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"];
+    usual.contains(&name)
+        || is_temperature_column(name)
+        || !is_pose && required_columns(machine).iter().any(|it| it == name)
 }
 
 fn has_model(machine: &Machine) -> bool {

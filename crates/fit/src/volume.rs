@@ -62,7 +62,7 @@ const ANY_SCALE: f64 = 100.0;
 /// The noise before the readings say more, in µm.
 const USUAL_NOISE_UM: f64 = 1.0;
 
-/// What is stated of the instrument.
+/// The stated uncertainties of the instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Options {
     /// Standard uncertainty of a reading in µm; `None`: that of the machine file, else by the readings alone.
@@ -73,7 +73,7 @@ pub struct Options {
     pub artefact_um: Option<f64>,
 }
 
-/// What was found.
+/// The result of a fit.
 #[derive(Clone, Debug)]
 pub struct VolumeReport {
     /// Each error, in the order of ISO 230-1, rotary axes after them.
@@ -90,17 +90,17 @@ pub struct VolumeReport {
     pub readings: [usize; 4],
     /// Gross readings.
     pub set_aside: Vec<SetAside>,
-    /// What the user should know; whole sentences.
+    /// Warnings to the user; whole sentences.
     pub warnings: Vec<String>,
     /// The constants, to predict with.
     pub model: Model,
 }
 
 impl VolumeReport {
-    /// Returns whether a correction gains on readings that were held out.
+    /// Returns whether the correction gains on held-out readings by more than the standard error.
     #[must_use]
     pub fn is_better(&self) -> bool {
-        self.held_out.after_um < self.held_out.before_um
+        self.held_out.is_better
     }
 }
 
@@ -181,10 +181,9 @@ pub fn fit(
                 .into(),
         );
     }
-    let is_better = held_out.after_um < held_out.before_um;
     let count = constants.all.len();
     let mean: Vec<f64> = found.mean.iter().take(count).copied().collect();
-    let (edit, written) = match is_better {
+    let (edit, written) = match held_out.is_better {
         true => written::edit(machine, &constants, &mean, &known, points_mm, &mut warnings),
         false => (Edit::default(), Vec::new()),
     };

@@ -94,7 +94,7 @@ pub struct Plan {
     pub steps: Vec<Step>,
     /// The columns of the run file.
     pub columns: Vec<Column>,
-    /// What to do with the filled file: a command each, without the machine file and where to write.
+    /// The commands that read the filled file, one each, without the machine file and where to write.
     pub then: Vec<String>,
     /// X of the program is written as a diameter; every length of the plan is a radius.
     pub is_lathe: bool,

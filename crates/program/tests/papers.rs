@@ -288,6 +288,23 @@ fn a_step_diagonal_moves_one_axis_at_a_time_between_opposite_corners() {
 }
 
 #[test]
+fn a_horizontal_spindle_has_two_step_diagonals_and_the_notes_say_so() {
+    let machine = parse(
+        "[machine]\nname = \"horizontal\"\nkind = \"3-axis\"\ntool_direction = [0.0, -1.0, 0.0]\n\
+         [axis.x]\ntravel_mm = [0.0, 500.0]\n[axis.y]\ntravel_mm = [0.0, 400.0]\n[axis.z]\ntravel_mm = [0.0, 300.0]\n",
+    );
+    let range_mm = [None, Some([0.0, 400.0]), Some([0.0, 300.0])];
+    let options = Options { range_mm, ..Options::default() };
+    let (made, notes) = plans(Kind::StepDiagonal, &machine, &options).expect("it fits");
+    // Y and Z both begin where they are retracted.
+    let x_mm = |plan: &Plan| plan.readings()[0].position_mm[0];
+    assert_eq!(made.len(), 2);
+    assert_ne!(x_mm(&made[0]), x_mm(&made[1]));
+    assert!(made[0].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[0].then);
+    assert!(notes.iter().any(|it| it.contains("2 of the four body diagonals")), "{notes:?}");
+}
+
+#[test]
 fn no_program_leaves_the_travel_and_every_cycle_ends_where_it_began() {
     let gauges = [None, Some(Gauge::Dial), Some(Gauge::Laser)];
     for (kind, gauge) in KINDS.into_iter().flat_map(|it| gauges.map(|gauge| (it, gauge))) {

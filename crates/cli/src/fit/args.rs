@@ -146,7 +146,7 @@ pub struct Circle {
 /// measured_dz_um (a ball), measured_diagonal_um, measured_dr_um (a circle), or one of measured_dx_um, measured_dy_um, measured_dz_um
 /// (a gauge on a straight edge, a length). It says which errors are known, and which measurement would settle the rest.
 ///
-/// Exit 3: no correction is better on held-out readings, and nothing is written.
+/// Exit 3: no correction is better on held-out readings by more than the standard error, and nothing is written.
 #[derive(Args)]
 pub struct Volume {
     /// A run file; may be given several times: all instruments and set-ups.

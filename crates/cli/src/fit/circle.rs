@@ -10,7 +10,7 @@ use trueup_fit::{
 };
 use trueup_machine::{Machine, MachineFile};
 
-use super::{args::Circle, warn_of_text};
+use super::{args::Circle, report, warn_of_text};
 use crate::{Outcome, files, origin, output};
 
 /// Fits, writes and prints.
@@ -101,14 +101,10 @@ fn text_of(report: &CircleReport, output: &Path) -> String {
         if let Some(um) = it.structure_um {
             lines.push(format!("  structure is left: {um:.2} µm RMS that no cause explains"));
         }
-        lines.extend(it.set_aside.iter().take(20).map(|row| format!("  {row}")));
+        lines.extend(report::listed(&it.set_aside));
     }
     lines.extend(report.written.iter().map(|written| format!("  {written}")));
-    lines.push(if report.edit.is_empty() {
-        "nothing is written".into()
-    } else {
-        format!("written to {}", output.display())
-    });
+    lines.push(report::end(!report.edit.is_empty(), output));
     lines.join("\n")
 }
 

@@ -1,8 +1,10 @@
 //! What `trueup fit` prints.
 
+use std::path::Path;
+
 use anyhow::Result;
 use serde_json::{Map, Value, json};
-use trueup_fit::{Report, Spread, Verdict, report::FactValue};
+use trueup_fit::{Report, SetAside, Spread, Verdict, report::FactValue};
 
 use super::args::Common;
 use crate::output;
@@ -61,19 +63,27 @@ pub fn print(report: &Report, common: &Common, written: bool, as_json: bool) -> 
         report.rows_incomplete,
         report.set_aside.len()
     ));
-    lines.extend(report.set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")));
-    if report.set_aside.len() > LISTED_ROWS {
-        lines.push(format!(
-            "  and {} more (--json lists them)",
-            report.set_aside.len() - LISTED_ROWS
-        ));
-    }
-    lines.push(if written {
-        format!("written to {}", common.output.display())
-    } else {
-        "nothing is written".to_string()
-    });
+    lines.extend(listed(&report.set_aside));
+    lines.push(end(written, &common.output));
     output::print(lines.join("\n"))
+}
+
+/// Returns a line for each of the first rows that are set aside, and how many there are more.
+pub fn listed(set_aside: &[SetAside]) -> Vec<String> {
+    let mut lines: Vec<String> =
+        set_aside.iter().take(LISTED_ROWS).map(|row| format!("  {row}")).collect();
+    if set_aside.len() > LISTED_ROWS {
+        lines.push(format!("  and {} more (--json lists them)", set_aside.len() - LISTED_ROWS));
+    }
+    lines
+}
+
+/// Returns the last line: where it is written.
+pub fn end(is_written: bool, output: &Path) -> String {
+    match is_written {
+        true => format!("written to {}", output.display()),
+        false => "nothing is written".into(),
+    }
 }
 
 fn json_of(report: &Report, common: &Common, written: bool) -> Value {

@@ -7,11 +7,8 @@ use serde_json::{Value, json};
 use trueup_fit::volume::{self, Options, VolumeReport, judge::Known, reading::Kind};
 use trueup_machine::{MachineFile, compile::compile};
 
-use super::{args::Volume, warn_of_text};
+use super::{args::Volume, report, warn_of_text};
 use crate::{Outcome, files, origin, output};
-
-/// Gross readings that are printed.
-const MOST_LISTED: usize = 20;
 
 /// Fits, writes and prints.
 pub fn run(args: &Volume, as_json: bool) -> Result<Outcome> {
@@ -70,20 +67,31 @@ fn text_of(report: &VolumeReport, output: &Path) -> String {
     }
     lines.extend(report.known.iter().map(line_of));
     let held_out = report.held_out;
-    lines.push(format!(
-        "held-out readings: {:.2} µm RMS with the file as it is, {:.2} µm with the constants of the others",
-        held_out.before_um, held_out.after_um
-    ));
-    lines.extend(report.set_aside.iter().take(MOST_LISTED).map(|row| format!("  {row}")));
-    if report.set_aside.len() > MOST_LISTED {
-        lines.push(format!("  and {} more", report.set_aside.len() - MOST_LISTED));
+    if held_out.readings > 0 {
+        lines.push(format!(
+            "held-out readings: {:.2} µm RMS with the file as it is, {:.2} µm with the constants of the others",
+            held_out.before_um, held_out.after_um
+        ));
     }
-    lines.push(if report.edit.is_empty() {
-        "nothing is written: no correction is better on held-out readings".into()
-    } else {
-        format!("written to {}", output.display())
-    });
+    lines.extend(report::listed(&report.set_aside));
+    if report.edit.is_empty() {
+        lines.push(why_not(report).into());
+    }
+    lines.push(report::end(!report.edit.is_empty(), output));
     lines.join("\n")
+}
+
+/// Returns why nothing is written.
+fn why_not(report: &VolumeReport) -> &'static str {
+    match (report.held_out.readings, report.is_better()) {
+        (0, _) => {
+            "no reading could be held out: each set-up has fewer than 12. Measure more places in one set-up"
+        }
+        (_, false) => {
+            "no correction is better on held-out readings by more than the standard error"
+        }
+        (_, true) => "no error is large enough",
+    }
 }
 
 fn line_of(it: &Known) -> String {
@@ -132,7 +140,11 @@ fn json_of(report: &VolumeReport, output: Option<&Path>) -> Value {
         "kind": "volume",
         "errors": report.known.iter().map(error).collect::<Vec<_>>(),
         "readings": kinds.collect::<Vec<_>>(),
-        "held_out": {"before_um": report.held_out.before_um, "after_um": report.held_out.after_um},
+        "held_out": {
+            "readings": report.held_out.readings,
+            "before_um": report.held_out.before_um,
+            "after_um": report.held_out.after_um,
+        },
         "set_aside": report.set_aside.iter().map(|row| json!({
             "file": row.place.file.to_string_lossy(),
             "line": row.place.line,

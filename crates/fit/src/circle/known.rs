@@ -1,16 +1,13 @@
 //! The part of a radial reading that is known already: the offsets of a bridge, and what the machine file predicts.
 
-use std::{fmt::Write as _, path::Path};
+use std::fmt::Write as _;
 
 use trueup_machine::{
-    BadInput, Machine, RunFile,
-    applied::offsets_um,
-    file::{LinearAxis, is_temperature_column},
-    model::required_columns,
-    predict::Predictor,
+    BadInput, Machine, RunFile, applied::offsets_um, file::LinearAxis, predict::Predictor,
 };
 
 use super::record::{READING, Record};
+use crate::known::{is_input, with_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
 pub struct Radial {
@@ -62,23 +59,18 @@ pub fn take_off(
         if rows.is_empty() {
             continue;
         }
-        let path = run.path();
         let positions =
             |name: &str| LinearAxis::ALL.iter().any(|it| name == format!("{}_mm", it.name()));
-        let lacks = |machine: &Machine| -> Vec<String> {
-            let needed = required_columns(machine).into_iter();
-            needed.filter(|name| !positions(name) && run.column(name).is_none()).collect()
-        };
-        let missing = lacks(&own);
-        let used = if missing.is_empty() { own.clone() } else { without_inputs(&own) };
+        let (used, missing) =
+            with_columns(&own, |name| positions(name) || run.column(name).is_some());
         if !missing.is_empty() {
             warnings.push(format!(
-                "{}: heat, spindle and added terms of the machine file are not subtracted: the run lacks {}",
-                path.display(),
+                "{}: what the machine file has of heat, spindle and added terms is not subtracted where it needs what the run lacks: {}",
+                run.path().display(),
                 missing.join(", ")
             ));
         }
-        let stated = with_directions(record, run, &rows, path)?;
+        let stated = with_directions(record, run, &used, &rows)?;
         let predictor = Predictor::new(&used, &stated)?;
         for (at, predicted) in rows.into_iter().zip(predictor.rows()) {
             let row = &mut record.rows[at];
@@ -109,28 +101,15 @@ fn of_plane(machine: &Machine, axes: [LinearAxis; 2]) -> Machine {
     own
 }
 
-/// Returns `machine` without the laws of heat, of the spindle, and without added terms.
-fn without_inputs(machine: &Machine) -> Machine {
-    let mut rest = machine.clone();
-    rest.axes.iter_mut().for_each(|axis| axis.thermal = None);
-    rest.spindle.source = None;
-    rest.terms.clear();
-    rest
-}
-
 /// Returns these rows as a run with the direction of each axis, and 0 for a position that stands still and is not stated.
 fn with_directions(
     record: &Record,
     run: &RunFile,
+    machine: &Machine,
     rows: &[usize],
-    path: &Path,
 ) -> Result<RunFile, BadInput> {
-    let is_input = |name: &str| {
-        ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"].contains(&name)
-            || is_temperature_column(name)
-            || name.ends_with("_deg")
-    };
-    let others = run.columns().iter().filter(|column| is_input(&column.name));
+    let is_other = |name: &str| name.ends_with("_deg") || is_input(machine, name);
+    let others = run.columns().iter().filter(|column| is_other(&column.name));
     let others: Vec<(&str, &[f64])> = others
         .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))
         .collect();
@@ -155,5 +134,5 @@ fn with_directions(
         }
     }
     text.push('\n');
-    RunFile::from_reader(text.as_bytes(), path)
+    RunFile::from_reader(text.as_bytes(), run.path())
 }

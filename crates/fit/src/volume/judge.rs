@@ -1,6 +1,6 @@
-//! What is known: by what the measurement can see, whatever it has read, and by readings that were held out.
+//! Judges which errors are known, by what the measurement can see, whatever it has read; and the correction, by held-out readings.
 //!
-//! An error is known if the readings' places leave less than two fifths of its usual size open (the standard deviation after,
+//! An error is known if the readings' places leave at most two fifths of twice its usual size open (the standard deviation after,
 //! against the one before). One that is not known is confused with another if that one, once known, would take half of the variance away.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -16,7 +16,7 @@ use super::{
     setup::Uncertainty,
 };
 
-/// Share of the usual standard deviation that may be left of a known error.
+/// Share of the standard deviation before the measurement that may be left of a known error.
 pub const KNOWN: f64 = 0.4;
 /// How much longer a second tool is.
 pub const LONGER_MM: f64 = 100.0;
@@ -57,7 +57,7 @@ pub struct Known {
     pub is_there: bool,
     /// Of a function the position in mm, the value there, and half of its 95 % interval.
     pub curve: Vec<[f64; 3]>,
-    /// What looks the same.
+    /// The names of errors and unknowns that look the same.
     pub confused_with: Vec<String>,
     /// The measurement that would settle it.
     pub next_test: String,
@@ -219,6 +219,10 @@ pub struct HeldOut {
     pub before_um: f64,
     /// With the constants that the other readings give.
     pub after_um: f64,
+    /// Readings that were held out; 0: no set-up has enough of them.
+    pub readings: usize,
+    /// Whether the correction gains on them by more than the standard error of the gain, between places.
+    pub is_better: bool,
 }
 
 /// Returns what is left of readings that were held out, in five blocks of places.
@@ -236,7 +240,8 @@ pub fn held_out(
     let blocks: BTreeMap<[i64; 5], usize> =
         distinct.into_iter().map(|at| (at, random.below(BLOCKS))).collect();
     let without = variances.without_errors(design);
-    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    let (mut squares, mut count) = ([0.0; 2], 0);
+    let mut gains: BTreeMap<[i64; 5], f64> = BTreeMap::new();
     for block in 0..BLOCKS {
         let is_of_block = |n: usize| blocks[&places[n]] == block && is_in(n);
         // A set-up of which nothing else is left has no zero.
@@ -254,18 +259,22 @@ pub fn held_out(
             rest.whole -= out.whole;
             rest.count -= out.count;
         }
-        for (square, variances) in squares.iter_mut().zip([&without, variances]) {
-            let found = posterior(&rest, variances);
-            for n in (0..readings.len()).filter(|n| is_out(*n)) {
-                let predicted: f64 =
-                    design.rows[n].iter().zip(found.mean.iter()).map(|(a, b)| a * b).sum();
-                *square += (readings[n].um - predicted).powi(2);
-            }
+        let both = [&without, variances].map(|variances| posterior(&rest, variances));
+        for n in (0..readings.len()).filter(|n| is_out(*n)) {
+            let [before, after] = both.each_ref().map(|found| {
+                let each = design.rows[n].iter().zip(found.mean.iter());
+                (readings[n].um - each.map(|(a, b)| a * b).sum::<f64>()).powi(2)
+            });
+            squares = [squares[0] + before, squares[1] + after];
+            *gains.entry(places[n]).or_default() += before - after;
         }
-        count += out.iter().map(|it| it.count as f64).sum::<f64>();
+        count += out.iter().map(|it| it.count).sum::<usize>();
     }
-    let [before_um, after_um] = squares.map(|it| (it / f64::max(count, 1.0)).sqrt());
-    HeldOut { before_um, after_um }
+    let [before_um, after_um] = squares.map(|it: f64| (it / count.max(1) as f64).sqrt());
+    // Without a gain the sum has this standard deviation.
+    let error = gains.values().map(|gain| gain * gain).sum::<f64>().sqrt();
+    let is_better = gains.values().sum::<f64>() > error;
+    HeldOut { before_um, after_um, readings: count, is_better }
 }
 
 /// Returns the place of a reading, the same for repeats and components.

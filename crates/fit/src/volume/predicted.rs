@@ -1,15 +1,11 @@
-//! What the machine file predicts already at the poses of readings.
+//! The prediction of the machine file at the poses of readings.
 
 use std::fmt::Write as _;
 
-use trueup_machine::{
-    BadInput, Machine, RunFile,
-    file::{LinearAxis, is_temperature_column},
-    model::required_columns,
-    predict::Predictor,
-};
+use trueup_machine::{BadInput, Machine, RunFile, file::LinearAxis, predict::Predictor};
 
 use super::reading::Pose;
+use crate::known::{is_input, with_columns};
 
 /// A pose, the row of the run that it comes from, and the directions of approach.
 #[derive(Clone, Copy, Debug)]
@@ -39,17 +35,11 @@ pub fn predicted_um(
         let axes = LinearAxis::ALL.iter().map(|axis| axis.name()).chain(["a", "b", "c"]);
         axes.into_iter().any(|axis| name == format!("{axis}_mm") || name == format!("{axis}_deg"))
     };
-    let missing: Vec<String> = required_columns(machine)
-        .into_iter()
-        .filter(|name| !is_pose(name) && run.column(name).is_none())
-        .collect();
-    let mut used = machine.clone();
+    let (mut used, missing) =
+        with_columns(machine, |name| is_pose(name) || run.column(name).is_some());
     if !missing.is_empty() {
-        used.axes.iter_mut().for_each(|axis| axis.thermal = None);
-        used.spindle.source = None;
-        used.terms.clear();
         warnings.push(format!(
-            "{}: heat, spindle and added terms of the machine file are not subtracted: the run lacks {}",
+            "{}: what the machine file has of heat, spindle and added terms is not subtracted where it needs what the run lacks: {}",
             run.path().display(),
             missing.join(", ")
         ));
@@ -57,7 +47,7 @@ pub fn predicted_um(
     let mut lengths: Vec<f64> = stated.iter().map(|it| it.pose.tool_mm).collect();
     lengths.sort_unstable_by(f64::total_cmp);
     lengths.dedup();
-    let text = text(run, stated);
+    let text = text(run, &used, stated);
     let stated_run = RunFile::from_reader(text.as_bytes(), run.path())?;
     let mut predicted = vec![[0.0; 3]; stated.len()];
     for length_mm in lengths {
@@ -73,15 +63,11 @@ pub fn predicted_um(
 }
 
 /// Returns the poses as a run, with the inputs of its rows.
-fn text(run: &RunFile, stated: &[Stated]) -> String {
-    let is_input = |name: &str| {
-        ["time_s", "run", "spindle_rpm", "sensor_counts", "feed_mm_per_min", "tool"].contains(&name)
-            || is_temperature_column(name)
-    };
+fn text(run: &RunFile, machine: &Machine, stated: &[Stated]) -> String {
     let others: Vec<(&str, &[f64])> = run
         .columns()
         .iter()
-        .filter(|column| is_input(&column.name))
+        .filter(|column| is_input(machine, &column.name))
         .filter_map(|column| Some((column.name.as_str(), run.column(&column.name)?)))
         .collect();
     let mut text = String::from("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,dir_x,dir_y,dir_z");

@@ -3,7 +3,7 @@
 //! | columns of a row | reading |
 //! |---|---|
 //! | two or three of `measured_dx_um`, `measured_dy_um`, `measured_dz_um` | a ball, or a point of a plate |
-//! | one of them | a gauge on a straight edge; along the axis that moves, a length |
+//! | one of them; two, where the third axis alone moves | a gauge, or two, on a straight edge; along the axis that moves, a length |
 //! | `measured_diagonal_um` | the error along the way from the first to the last position of the set-up |
 //! | `measured_dr_um` | a circle, read as `fit circle` reads it |
 //!
@@ -64,7 +64,7 @@ pub fn read(
     Ok(readings)
 }
 
-/// What a run states of each row.
+/// The columns of a run that each row is read from.
 struct Columns<'r> {
     position_mm: [&'r [f64]; 3],
     angle_deg: [Option<&'r [f64]>; 3],
@@ -192,7 +192,12 @@ fn components(
     for row in 0..run.rows() {
         let there: Vec<usize> =
             (0..3).filter(|n| measured[*n].is_some_and(|values| !values[row].is_nan())).collect();
-        let kind = if there.len() == 1 { Kind::Edge } else { Kind::Ball };
+        let is_edge = match there[..] {
+            [_] => true,
+            [first, second] => moves_alone(columns, run, row) == Some(3 - first - second),
+            _ => false,
+        };
+        let kind = if is_edge { Kind::Edge } else { Kind::Ball };
         let setup = columns.setup.map_or(0, |values| values[row].to_bits());
         let point = columns.point.map(|values| values[row]).filter(|it| it.is_finite());
         for n in &there {
@@ -245,18 +250,31 @@ fn on_edge(
         let all: Vec<usize> = (0..run.rows()).collect();
         return Some(OnEdge { edge: axis, share: share(&|row| point[row], &all)? });
     }
+    let (rows, range) = of_setup(columns, run, row);
+    let along = (0..3).max_by(|a, b| range[*a].total_cmp(&range[*b])).filter(|it| *it != axis)?;
+    // Numbers below 3 are those of edges with points.
+    let share = share(&|row| columns.position_mm[along][row], &rows)?;
+    Some(OnEdge { edge: 3 + setup, share })
+}
+
+/// Returns the rows of the set-up of a row, and how far X, Y and Z move in them.
+fn of_setup(columns: &Columns<'_>, run: &RunFile, row: usize) -> (Vec<usize>, [f64; 3]) {
     let is_same = |other: &usize| {
         columns.setup.is_none_or(|setup| setup[*other].to_bits() == setup[row].to_bits())
     };
     let rows: Vec<usize> = (0..run.rows()).filter(is_same).collect();
-    let range = |n: usize| {
-        let at = || rows.iter().map(|row| columns.position_mm[n][*row]).filter(|it| !it.is_nan());
+    let range = columns.position_mm.map(|values| {
+        let at = || rows.iter().map(|row| values[*row]).filter(|it| !it.is_nan());
         at().fold(f64::MIN, f64::max) - at().fold(f64::MAX, f64::min)
-    };
-    let along = (0..3).max_by(|a, b| range(*a).total_cmp(&range(*b))).filter(|it| *it != axis)?;
-    // Numbers below 3 are those of edges with points.
-    let share = share(&|row| columns.position_mm[along][row], &rows)?;
-    Some(OnEdge { edge: 3 + setup, share })
+    });
+    (rows, range)
+}
+
+/// Returns the axis that moves in the set-up of a row, where no other one does.
+fn moves_alone(columns: &Columns<'_>, run: &RunFile, row: usize) -> Option<usize> {
+    let (_, range) = of_setup(columns, run, row);
+    let is_still = |it: usize, along: usize| it == along || range[it] < 0.01 * range[along];
+    (0..3).find(|along| (0..3).all(|it| is_still(it, *along)))
 }
 
 fn diagonals(

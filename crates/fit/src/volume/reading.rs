@@ -11,7 +11,7 @@ pub struct Pose {
     pub tool_mm: f64,
 }
 
-/// What an instrument reads.
+/// The kind of a reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// Components of the error at a ball: two or three of them in a row.
@@ -62,7 +62,7 @@ pub struct OnEdge {
 /// One number that an instrument has shown.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
-    /// What is read.
+    /// Its kind.
     pub kind: Kind,
     /// Where.
     pub pose: Pose,

@@ -1,4 +1,4 @@
-//! What is unknown of a set-up: where the artefact lies and how it is turned, the tip of the stylus, the scale of the artefact, the
+//! The unknowns of a set-up: where the artefact lies and how it is turned, the tip of the stylus, the scale of the artefact, the
 //! direction of a beam, radius and centre of a circle. None of these is an error of the machine.
 //!
 //! | unknown | reading |
@@ -80,7 +80,7 @@ impl Nuisance {
         }
     }
 
-    /// Returns what it is, in words.
+    /// Returns its name in reports.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

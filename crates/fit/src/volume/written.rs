@@ -25,7 +25,7 @@ const DECIMALS: i32 = 3;
 const STEPS: usize = 64;
 /// The most points of a table.
 const MAX_POINTS: usize = 2_000;
-/// What is smaller, in µm, µm/m or µrad, is not written.
+/// An error that is smaller, in µm, µm/m or µrad, is not written.
 const SMALLEST: f64 = 0.02;
 /// Points of a spline that takes two together.
 const SAMPLES: u32 = 400;

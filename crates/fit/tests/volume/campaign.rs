@@ -72,7 +72,7 @@ fn spheres(machine: &mut Drawn, balls: &mut Balls) {
     }
 }
 
-/// What one machine gave.
+/// The figures of one machine.
 #[derive(Debug)]
 struct Outcome {
     before_um: f64,
@@ -207,9 +207,9 @@ fn figures(plan: Plan, seeds: &[u64]) -> [f64; 3] {
     let outcomes =
         trueup_numerics::parallel::on_all_cores(seeds, true, |seed| outcome(*seed, plan));
     let mut gone: Vec<f64> = outcomes.iter().map(Outcome::gone).collect();
-    gone.sort_unstable_by(f64::total_cmp);
     let sum = |n: usize| outcomes.iter().map(|it| it.covered[n]).sum::<usize>() as f64;
-    let figures = [gone[gone.len() / 2], gone[0], sum(0) / sum(1)];
+    let worst = gone.iter().copied().fold(f64::INFINITY, f64::min);
+    let figures = [trueup_numerics::robust::median(&mut gone), worst, sum(0) / sum(1)];
     let mean =
         |of: fn(&Outcome) -> f64| outcomes.iter().map(of).sum::<f64>() / outcomes.len() as f64;
     println!(
@@ -240,12 +240,12 @@ fn judge(usual: u64, margin: f64) {
 #[test]
 #[ignore = "campaign: cargo xtask volumes"]
 fn campaign_100_drawn_machines() {
-    // Reached: 96.1 % with the plate, 92.4 % with sphere, diagonals and circles.
+    // Target: 0.02. Reached: 96.1 % with the plate, 92.4 % with sphere, diagonals and circles.
     judge(100, 0.03);
 }
 
 #[test]
-#[ignore = "long"]
+#[ignore = "long: eight drawn machines, measured in two ways"]
 fn most_of_the_error_of_eight_drawn_machines_is_gone() {
     // Fewer intervals: 800 lengths, eight machines.
     judge(8, 0.04);

@@ -6,3 +6,4 @@ mod campaign;
 mod drawn;
 mod measured;
 mod rules;
+mod signs;

@@ -1,5 +1,5 @@
-//! What instruments read of a drawn machine: run files with the columns of the reference. Each set-up has a place, an alignment, a
-//! scale and a direction that nobody states.
+//! The readings of instruments on a drawn machine: run files with the columns of the reference. Each set-up has a place, an alignment, a
+//! scale and a direction that is not stated to the fit.
 
 use std::{f64::consts::TAU, fmt::Write as _};
 

@@ -1,4 +1,4 @@
-//! What is claimed, and what is not: one set-up, one tool, an unknown scale, a gross reading, a sound machine.
+//! The rules of claims: one set-up, one tool, an unknown scale, a gross reading, a sound machine.
 
 use std::path::Path;
 
@@ -17,15 +17,15 @@ fn run(text: &str) -> RunFile {
     RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run")
 }
 
-fn file(text: &str) -> Machine {
+pub fn file(text: &str) -> Machine {
     MachineFile::parse(text, Path::new("m.toml")).unwrap_or_else(|error| panic!("{error}\n{text}"))
 }
 
-fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
+pub fn fit(text: &str, machine: &Machine, options: &Options) -> VolumeReport {
     volume::fit(&[run(text)], machine, options).expect("a fit")
 }
 
-fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r Known {
+pub fn of<'r>(report: &'r VolumeReport, name: &str) -> &'r Known {
     let found = report.known.iter().find(|it| it.error.to_string() == name);
     found.unwrap_or_else(|| panic!("no {name}"))
 }
@@ -125,7 +125,7 @@ fn a_second_fit_of_the_same_readings_finds_nothing_more() {
 }
 
 /// A straight edge along X, read in Z at two places of Y; its own form is a bow of 6 µm.
-fn edge(bow_um: f64, roll_urad: f64, has_points: bool) -> String {
+pub fn edge(bow_um: f64, roll_urad: f64, has_points: bool) -> String {
     let mut text = String::from(if has_points {
         "x_mm,y_mm,z_mm,setup,point,measured_dz_um\n"
     } else {
@@ -163,6 +163,24 @@ fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
     // Without the numbers of the points it may be another edge each time.
     let apart = fit(&edge(6.0, 40.0, false), &believed, &options);
     assert!(!of(&apart, "EZX").is_known && of(&apart, "EAX").open > 0.6, "{:?}", of(&apart, "EAX"));
+}
+
+#[test]
+fn two_gauges_on_one_edge_claim_no_straightness_of_its_form() {
+    let believed = file("[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n");
+    let options = Options { instrument_um: Some(0.1), ..Options::default() };
+    let text: String = edge(6.0, 0.0, false)
+        .lines()
+        .map(|line| match line.rsplit_once(',') {
+            Some((row, "measured_dz_um")) => format!("{row},measured_dy_um,measured_dz_um\n"),
+            Some((row, um)) => format!("{row},{um},{um}\n"),
+            None => String::new(),
+        })
+        .collect();
+    let report = fit(&text, &believed, &options);
+    for name in ["EYX", "EZX"] {
+        assert!(!of(&report, name).is_known, "{:?}", of(&report, name));
+    }
 }
 
 #[test]

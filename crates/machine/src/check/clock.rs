@@ -159,7 +159,7 @@ fn is_slip(
     step_s: f64,
     median_s: f64,
 ) -> Option<bool> {
-    // A circle begins where it ends, whatever the pause between two of them.
+    // A circle begins where it ends, and a diagonal at its own zero, whatever the pause between two of them.
     let is_value = |name: &str| {
         is_temperature_column(name)
             || name.starts_with("measured_")

@@ -24,7 +24,7 @@ use crate::{
     travel::{Travel, even, micrometres, travels},
 };
 
-/// There so often.
+/// Repeats of a diagonal.
 const REPEATS: u32 = 2;
 /// Steps of each axis.
 const STEPS: f64 = 10.0;
@@ -44,8 +44,16 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     })?;
     // The tool is retracted before other axes move, and comes last.
     travels.sort_by_key(|travel| travel.retract.is_some());
-    let all = (0..4).map(|number| plan(machine, &travels, options, number));
+    // Each further axis that begins where it is retracted halves them.
+    let count = 4 >> travels[..2].iter().filter(|travel| travel.retract.is_some()).count();
+    let all = (0..count).map(|number| plan(machine, &travels, options, [number, count]));
     let plans = all.collect::<Result<Vec<_>, _>>()?;
+    if count < 4 {
+        notes.push(format!(
+            "{count} of the four body diagonals: the others do not begin where all vertical axes and the tool are retracted. Measure \
+             circles as well: trueup fit volume says what stays open"
+        ));
+    }
     notes.extend(without_clearance(options));
     if machine.volume.chain.is_none() {
         notes.push(
@@ -60,7 +68,7 @@ fn plan(
     machine: &Machine,
     travels: &[Travel; 3],
     options: &Options,
-    number: usize,
+    [number, count]: [usize; 2],
 ) -> Result<Plan, Refused> {
     let feed = options.feed();
     // Each diagonal is one of four corners of the first two axes; the third begins where the tool is retracted.
@@ -114,9 +122,12 @@ fn plan(
         approach_mm_per_min: options.approach_mm_per_min,
         steps,
         columns,
-        // All four are measured first.
-        then: (number == 3)
-            .then(|| format!("trueup fit volume {}", [0, 1, 2, 3].map(file).join(" ")))
+        // All are measured first.
+        then: (number + 1 == count)
+            .then(|| {
+                let files: Vec<String> = (0..count).map(file).collect();
+                format!("trueup fit volume {}", files.join(" "))
+            })
             .into_iter()
             .collect(),
         is_lathe: false,
