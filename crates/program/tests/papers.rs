@@ -300,7 +300,7 @@ fn a_horizontal_spindle_has_two_step_diagonals_and_the_notes_say_so() {
     let x_mm = |plan: &Plan| plan.readings()[0].position_mm[0];
     assert_eq!(made.len(), 2);
     assert_ne!(x_mm(&made[0]), x_mm(&made[1]));
-    assert!(made[0].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[0].then);
+    assert!(made[1].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[1].then);
     assert!(notes.iter().any(|it| it.contains("2 of the four body diagonals")), "{notes:?}");
 }
 
