@@ -178,7 +178,12 @@ impl Node {
     fn birth(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
         self.seq = 0;
         let mut all = vec![self.numbered_connection(time_ms)];
-        all.extend(metrics.iter().zip(1..).map(|(it, alias)| born(it, alias, time_ms)));
+        all.extend(metrics.iter().zip(1..).map(|(it, alias)| {
+            let mut metric = born(it, alias, time_ms);
+            // Sparkplug has a host ask for it by its name.
+            metric.alias = metric.alias.filter(|_| it.name != REBIRTH);
+            metric
+        }));
         self.numbered("NBIRTH", None, all, time_ms)
     }
 

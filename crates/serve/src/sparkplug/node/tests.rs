@@ -47,6 +47,9 @@ fn births_come_in_order_and_then_only_what_has_changed() {
     let birth = decode(&births[1].payload).expect("a payload");
     let named = birth.iter().find(|it| it.alias == changed[0].alias).expect("its alias");
     assert_eq!(named.name.as_deref(), Some("Offset/X"));
+    let node_birth = decode(&births[0].payload).expect("a payload");
+    let rebirth = node_birth.iter().find(|it| it.name.as_deref() == Some(REBIRTH));
+    assert_eq!(rebirth.expect("it can be asked for").alias, None, "hosts name it");
 
     let waiting = Own { waiting: 3, ..own };
     assert_eq!(told(&node.update(waiting, &bridges, 4)), expected(&[("NDATA/n", 4)]));
