@@ -74,7 +74,7 @@ impl Bridge {
     pub fn receive(&mut self, event: LineEvent, now: Instant) -> Option<Frame> {
         match event {
             LineEvent::Up => {
-                self.is_open = true;
+                (self.is_open, self.why) = (true, None);
                 self.ask_again(now);
             }
             LineEvent::Down(why) => {
@@ -181,6 +181,7 @@ impl Bridge {
             let celsius = |centi_c: i16| f64::from(centi_c) / 100.0;
             snapshot.temperature_c = self.board.centi_c.map(|it| it.map(celsius));
             snapshot.elongation_um = self.board.elongation_um();
+            snapshot.has_status = true;
             snapshot.faults = self.board.faults();
             snapshot.state = trueup_client::words::state_words(self.board.state);
             snapshot.calibration = self.board.calibration;
