@@ -94,7 +94,9 @@ impl Broker {
     }
 }
 
-fn is_loopback(host: &str) -> bool {
+/// Returns whether a host is this computer.
+#[must_use]
+pub fn is_loopback(host: &str) -> bool {
     let bare = host.trim_start_matches('[').trim_end_matches(']');
     host == "localhost" || bare.parse().is_ok_and(|it: IpAddr| it.is_loopback())
 }
