@@ -1,4 +1,4 @@
-//! What is published of a bridge at one moment, and what has happened from one moment to the next.
+//! The state of a bridge at one moment, and the events from one moment to the next.
 
 use trueup_client::words::quality_word;
 use trueup_core::{cnc::Quality, dimensions::CHANNELS};
@@ -17,7 +17,7 @@ pub struct Identity {
     pub firmware: Option<String>,
 }
 
-/// What is known of a bridge; without a line nothing is.
+/// The known state of a bridge; without a line nothing is known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Valid offsets come from it.
@@ -40,9 +40,9 @@ pub struct Snapshot {
     pub position_mm: [Option<f64>; 3],
     /// The board has said its status a short time ago; else faults, state and calibration are not known.
     pub has_status: bool,
-    /// What is wrong with the board.
+    /// Words of the board's faults.
     pub faults: Vec<&'static str>,
-    /// What a CNC must know of it.
+    /// Words of the board's state.
     pub state: Vec<&'static str>,
     /// The CRC of the calibration that it runs on; 0: it has none.
     pub calibration: Option<u32>,
@@ -57,7 +57,7 @@ pub struct Snapshot {
 pub struct Event {
     /// Which kind, for programs.
     pub code: &'static str,
-    /// What it is about: the word of a fault, a quality, a CRC.
+    /// Its subject: the word of a fault, a quality, a CRC.
     pub about: String,
 }
 
@@ -77,7 +77,7 @@ pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
         (true, false) => {
             let why = now.why.clone().unwrap_or_else(|| SILENT.into());
             events.push(Event::new("bridge-down", why));
-            // What was known of it is unknown now; it has not changed.
+            // The rest is unknown now; it has not changed.
             return events;
         }
         (false, true) => events.push(Event::new("bridge-up", "")),
@@ -102,7 +102,7 @@ pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
     {
         events.push(Event::new("calibration", format!("{crc:08x}")));
     }
-    // What is not known has not changed.
+    // An unknown status has not changed.
     if !now.has_status {
         return events;
     }

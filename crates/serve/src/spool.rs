@@ -63,7 +63,7 @@ pub struct Spool {
     settled: u64,
     /// The last one that was handed out to be sent.
     sent: u64,
-    /// What the broker has, of what is not settled, and since when.
+    /// Records that the broker has acknowledged and that are not settled, with the time of the acknowledgement.
     acknowledged: BTreeMap<u64, Instant>,
     reports: Vec<Report>,
     _lock: File,
@@ -127,7 +127,7 @@ impl Spool {
             let bytes = fs::read(&path)?;
             let (entries, gaps) = scan(id, &bytes);
             for gap in gaps.iter().filter(|gap| {
-                // What was done with before needs no report.
+                // Damage among settled records needs no report.
                 gap.after.is_none_or(|after| after.number > self.settled + 1)
             }) {
                 let copy = self.folder.join("damaged");

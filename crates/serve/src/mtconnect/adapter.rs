@@ -63,7 +63,7 @@ impl Adapter {
             state.agents.retain(|agent| {
                 let is_taken = agent.queue.try_send(changes.clone()).is_ok();
                 if !is_taken {
-                    // It has missed a change: it must not take old values for new ones. It connects again, and gets all.
+                    // It has missed a change: it connects again, and gets all that is known.
                     agent.stream.shutdown(Shutdown::Both).ok();
                 }
                 is_taken

@@ -15,7 +15,7 @@ const UNAVAILABLE: &str = "UNAVAILABLE";
 /// The longest text of a line, in characters.
 const MAX_TEXT: usize = 200;
 
-/// What an agent knows of a bridge: the values of its data items, and the codes of its conditions.
+/// The knowledge of an agent about a bridge: the values of its data items, and the codes of its conditions.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Known {
     values: Vec<(String, String)>,

@@ -35,7 +35,7 @@ pub struct Record {
     pub time_ms: u64,
     /// Where it is published.
     pub topic: String,
-    /// What is published.
+    /// The bytes that are published.
     pub payload: Vec<u8>,
 }
 
