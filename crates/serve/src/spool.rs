@@ -175,6 +175,8 @@ impl Spool {
             // Whatever of it is there must not be read as recorded; the next record begins a file.
             file.set_len(segment.bytes).ok();
             self.active = None;
+            // If the file cannot be cut either, two records must not have one number: the second would count as sent.
+            self.next += entries.len() as u64;
             return Err(error);
         }
         segment.bytes += bytes.len() as u64;
