@@ -74,7 +74,7 @@ impl Bridge {
     pub fn receive(&mut self, event: LineEvent, now: Instant) -> Option<Frame> {
         match event {
             LineEvent::Up => {
-                (self.is_open, self.why) = (true, None);
+                self.is_open = true;
                 self.ask_again(now);
             }
             LineEvent::Down(why) => {
@@ -93,7 +93,7 @@ impl Bridge {
 
     fn frame(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         if let Ok(Some(output)) = self.offsets.accept(frame) {
-            self.output = Some((output, now));
+            (self.output, self.why) = (Some((output, now)), None);
             return None;
         }
         // The state comes last of all that is waited for after a start.

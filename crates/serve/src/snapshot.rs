@@ -22,7 +22,7 @@ pub struct Identity {
 pub struct Snapshot {
     /// Valid offsets come from it.
     pub is_up: bool,
-    /// Why the line was last lost.
+    /// Why the line was lost, until offsets come again.
     pub why: Option<String>,
     /// Who it is; this outlives the line.
     pub identity: Identity,
