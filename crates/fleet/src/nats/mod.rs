@@ -154,11 +154,14 @@ impl Remote {
         text.transpose().map_err(|_| io::Error::other(format!("{}: {id}: is no text", self.url)))
     }
 
-    /// Writes a key that is not there yet. Returns whether it was not.
+    /// Writes a key that is not there yet. Returns whether the key has this text now.
     fn is_first(&self, bucket: &kv::Store, id: &str, text: String) -> io::Result<bool> {
-        match self.runtime.block_on(bucket.create(id, text.into())) {
+        match self.runtime.block_on(bucket.create(id, text.clone().into())) {
             Ok(_) => Ok(true),
-            Err(error) if error.kind() == CreateErrorKind::AlreadyExists => Ok(false),
+            // If the server is killed between writing and answering, the client finds the text of this very call there.
+            Err(error) if error.kind() == CreateErrorKind::AlreadyExists => {
+                Ok(self.text(bucket, id)?.as_deref() == Some(text.as_str()))
+            }
             Err(error) => Err(io::Error::other(format!("{}: {id}: {error}", self.url))),
         }
     }
