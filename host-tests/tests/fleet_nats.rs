@@ -1,5 +1,5 @@
-//! `trueup fleet` on a real NATS server: whatever is killed and whenever, each job has one result, equal to the byte to
-//! that of the same job in a folder.
+//! `trueup fleet` on a real NATS server: server and workers are killed at drawn instants; each job has one result, equal
+//! to the byte to that of the same job in a folder.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod support;
@@ -247,7 +247,7 @@ fn a_server_is_asked_by_who_knows_its_password_and_an_old_one_is_refused() {
         let (code, text) = said(password, &submit);
         assert!(code == Some(2) && text.contains(&url), "{code:?} {text}");
     }
-    // Nobody has submitted anything.
+    // No job was submitted.
     let (code, text) = said(Some("secret"), &status);
     assert!(code == Some(2) && text.contains("trueup fleet submit makes it"), "{text}");
     assert_eq!(said(Some("secret"), &submit).0, Some(0));

@@ -54,8 +54,8 @@ pub struct Submit {
 
 /// Does the jobs, as many at once as it has threads.
 ///
-/// Any number of workers may share the folder or the server. One that is killed loses nothing: its lease ends, and another worker
-/// takes the job. Exit 3 with --until-empty: a job has failed.
+/// Any number of workers may share the folder or the server. One that is killed loses nothing: its lease ends, and
+/// another worker takes the job. Exit 3 with --until-empty: a job has failed.
 #[derive(Args)]
 pub struct Worker {
     #[command(flatten)]

@@ -1,4 +1,4 @@
-//! `trueup serve`: what a bridge does, published. What it does is in `trueup-serve`.
+//! `trueup serve`: the command; `trueup-serve` does the work.
 
 use std::{
     fs,

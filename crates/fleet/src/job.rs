@@ -190,13 +190,8 @@ impl Submission {
             }
         }
         let there = Job::read(store, &id).map_err(io::Error::other)?;
-        if there.content() != self.job().content() {
-            let why = format!("{}: holds another job", target.display());
-            return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
-        }
+        let other_date = self.job().other_date(there, target.display())?;
         fs::remove_file(store.failed(&id)).or_else(crate::store::ignore_missing)?;
-        let is_other = self.date.is_some() && self.date != there.date;
-        let other_date = is_other.then(|| there.date.unwrap_or_else(|| "none".into()));
         Ok(Submitted { id, is_new: false, other_date })
     }
 }
@@ -220,9 +215,27 @@ impl Job {
     }
 
     /// Returns what the identifier is made of.
-    pub(crate) fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
+    fn content(&self) -> (&str, &Request, Vec<(&str, &str)>) {
         let files = self.files().map(|it| (it.stored.as_str(), it.crc64.as_str()));
         (&self.machine, &self.request, files.collect())
+    }
+
+    /// Compares a job with the one that is at its place. Returns the day that stays, `none` if without, where another one
+    /// is given now.
+    ///
+    /// # Errors
+    /// It is another job.
+    pub(crate) fn other_date(
+        &self,
+        there: Self,
+        place: impl fmt::Display,
+    ) -> io::Result<Option<String>> {
+        if there.content() != self.content() {
+            let why = format!("{place}: holds another job");
+            return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
+        }
+        let is_other = self.date.is_some() && self.date != there.date;
+        Ok(is_other.then(|| there.date.unwrap_or_else(|| "none".into())))
     }
 
     /// Reads a file of the job, and compares it with what was submitted.

@@ -72,6 +72,9 @@ fn stored(store: &Store, id: &str) -> Result<Stored, String> {
         .map_err(|error| unreadable("result.json", error))?;
     let done: Done =
         serde_json::from_str(&text).map_err(|error| format!("result.json is damaged: {error}"))?;
+    if done.id != id {
+        return Err(format!("result.json is damaged: it is of job {:?}", done.id));
+    }
     let mut files = BTreeMap::new();
     for Named { name, crc64 } in &done.files {
         // A name of the form that workers write, and no way out of the folder.

@@ -101,23 +101,28 @@ pub fn work(store: &Store, options: Options, diagnose: &Diagnose<'_>) -> io::Res
         done: AtomicUsize::new(0),
         failed: AtomicUsize::new(0),
     };
-    let errors: Vec<io::Error> = thread::scope(|scope| {
-        let start = |number| {
-            let team = &team;
-            scope.spawn(move || team.run(number))
-        };
-        let threads: Vec<_> = (0..options.threads.max(1)).map(start).collect();
-        let ended = threads.into_iter().map(|it| match it.join() {
-            Ok(ended) => ended,
-            Err(_) => Err(io::Error::other("a thread of the worker has panicked")),
-        });
-        ended.filter_map(Result::err).collect()
-    });
+    run_threads(options.threads, |number| team.run(number))?;
     let count = |counter: &AtomicUsize| counter.load(Ordering::Relaxed);
-    match errors.into_iter().next() {
-        Some(error) => Err(error),
-        None => Ok(Tally { done: count(&team.done), failed: count(&team.failed) }),
-    }
+    Ok(Tally { done: count(&team.done), failed: count(&team.failed) })
+}
+
+/// Runs this many threads, each with its number, until all have ended.
+///
+/// # Errors
+/// The first error of a thread, or that one has panicked.
+pub(crate) fn run_threads(
+    count: usize,
+    run: impl Fn(usize) -> io::Result<()> + Sync,
+) -> io::Result<()> {
+    let run = &run;
+    let ended: Vec<thread::Result<io::Result<()>>> = thread::scope(|scope| {
+        let start = |number| scope.spawn(move || run(number));
+        let threads: Vec<_> = (0..count.max(1)).map(start).collect();
+        threads.into_iter().map(|it| it.join()).collect()
+    });
+    ended.into_iter().try_for_each(|it| {
+        it.unwrap_or_else(|_| Err(io::Error::other("a thread of the worker has panicked")))
+    })
 }
 
 /// The threads of one process.

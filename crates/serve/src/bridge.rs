@@ -1,4 +1,4 @@
-//! What a bridge says, put together: frames come in, a [`Snapshot`] comes out, and now and then a question to the
+//! Collects the frames of a bridge: frames come in, a [`Snapshot`] comes out, and now and then a question to the
 //! bridge who it is. Nothing is written to the bridge.
 
 use std::time::{Duration, Instant};
@@ -27,9 +27,9 @@ use crate::snapshot::{Identity, Snapshot};
 const STALE: Duration = Duration::from_secs(1);
 /// Each item of the status comes every 1.5 s; three missed, and all of it counts as unknown.
 const STATUS_LASTS: Duration = Duration::from_millis(4_600);
-/// What was answered is asked for again after this: a bridge may be exchanged while the line stays.
+/// An answered question is asked again after this: a bridge may be exchanged while the line stays.
 const AGAIN: Duration = Duration::from_secs(600);
-/// What is asked for, in this order, one after the other.
+/// The questions, in this order, one after the other.
 const QUESTIONS: [At; 3] = [object::SERIAL_NUMBER, object::MACHINE_NAME, object::SOFTWARE];
 /// Maximum length of a name, in bytes.
 const MAX_NAME: usize = 64;
@@ -93,7 +93,7 @@ impl Bridge {
 
     fn frame(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         if let Ok(Some(output)) = self.offsets.accept(frame) {
-            self.output = Some((output, now));
+            (self.output, self.why) = (Some((output, now)), None);
             return None;
         }
         // The state comes last of all that is waited for after a start.
@@ -181,6 +181,7 @@ impl Bridge {
             let celsius = |centi_c: i16| f64::from(centi_c) / 100.0;
             snapshot.temperature_c = self.board.centi_c.map(|it| it.map(celsius));
             snapshot.elongation_um = self.board.elongation_um();
+            snapshot.has_status = true;
             snapshot.faults = self.board.faults();
             snapshot.state = trueup_client::words::state_words(self.board.state);
             snapshot.calibration = self.board.calibration;

@@ -66,6 +66,11 @@ impl Broker {
         };
         let is_name = |c: char| c.is_ascii_alphanumeric() || "-._[]:%".contains(c);
         ensure!(!host.is_empty() && host.chars().all(is_name), "--mqtt \"{url}\": {FORMS}");
+        // The client of MQTT takes a name or an IPv4 address for that of the certificate.
+        ensure!(
+            !is_tls || !host.starts_with('['),
+            "--mqtt \"{url}\": TLS needs a name in the place of an IPv6 address: mqtts://HOST:PORT"
+        );
         if !is_tls {
             ensure!(
                 files.ca.is_none() && files.own.is_none(),
@@ -94,7 +99,9 @@ impl Broker {
     }
 }
 
-fn is_loopback(host: &str) -> bool {
+/// Returns whether a host is this computer.
+#[must_use]
+pub fn is_loopback(host: &str) -> bool {
     let bare = host.trim_start_matches('[').trim_end_matches(']');
     host == "localhost" || bare.parse().is_ok_and(|it: IpAddr| it.is_loopback())
 }
@@ -165,6 +172,7 @@ mod tests {
             ("mqtt://a b:1", false, "a broker is"),
             ("mqtt://me:secret@h:1883", false, "--password-file"),
             ("mqtt://10.0.0.1", true, "write mqtts://10.0.0.1"),
+            ("mqtts://[::1]:8883", false, "a name in the place of an IPv6 address"),
         ] {
             let error = broker(url, has_login).err().expect(url);
             assert!(error.contains(phrase), "{error}");

@@ -1,4 +1,4 @@
-//! The time of day of what is published, and whether somebody has set it.
+//! The time of day of what is published, and whether it was set.
 //!
 //! Order never depends on it: records have numbers, and the times of a connection are those of a clock that
 //! only advances.

@@ -1,4 +1,4 @@
-//! What a publisher keeps of itself in the folder of its spool: an identifier drawn at random, and the number of its
+//! The identity of a publisher, in the folder of its spool: an identifier drawn at random, and the number of its
 //! last connection.
 
 use std::{

@@ -1,4 +1,4 @@
-//! What a bridge does, published: `trueup serve`.
+//! Publishes the state of a bridge: `trueup serve`.
 //!
 //! ```text
 //!  bridge ─► line ─► bridge ─► snapshot ─┬─► sparkplug ─► mqtt ─► broker
@@ -10,7 +10,7 @@
 //! | module | does |
 //! |---|---|
 //! | [`mod@bridge`] | frames in, a snapshot out; asks the bridge who it is, and writes nothing to it |
-//! | [`snapshot`] | what is known at one moment, and what has happened between two |
+//! | [`snapshot`] | the state at one moment, the events between two |
 //! | [`mod@metrics`] | names, units and values: one list for all that is published |
 //! | [`sparkplug`] | payloads and topics of Sparkplug B; births, deaths and numbers |
 //! | [`spool`] | records on disk until the broker has them |
@@ -18,7 +18,7 @@
 //! | [`mqtt`] | the connection, again and again |
 //! | [`mtconnect`] | lines of SHDR for agents, and `Devices.xml` |
 //! | [`record`] | rows and events, onto the disk |
-//! | [`mod@identity`] | what a publisher keeps of itself |
+//! | [`mod@identity`] | the identity of a publisher |
 //! | [`mod@run`] | all of it, from the beginning to the end |
 //! | [`shared`] | what the threads share; the thread of the line |
 //! | [`clock`] | the time of day, and whether it was set |

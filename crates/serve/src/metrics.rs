@@ -50,7 +50,8 @@ const TEMPERATURES: [&str; CHANNELS] = [
 #[must_use]
 pub fn metrics(of: &Snapshot) -> Vec<Metric> {
     let text = |name, text: Option<String>| Metric { name, unit: "", value: Value::Text(text) };
-    let words = |name, words: &[&str]| text(name, of.is_up.then(|| words.join(" ")));
+    let words =
+        |name, is_known: bool, words: &[&str]| text(name, is_known.then(|| words.join(" ")));
     let numbers = |names: &'static [&'static str], unit, values: &[Option<f64>]| {
         let both = names.iter().zip(values);
         both.map(|(name, value)| Metric { name, unit, value: Value::Number(*value) })
@@ -59,9 +60,9 @@ pub fn metrics(of: &Snapshot) -> Vec<Metric> {
     let count = |name, count: u32| Metric { name, unit: "", value: Value::Count(count.into()) };
     let mut all = vec![Metric { name: "Bridge/Up", unit: "", value: Value::Flag(of.is_up) }];
     all.push(text("Bridge/Quality", of.quality.map(|it| quality_word(it).to_owned())));
-    all.push(words(FLAGS, &of.flags));
-    all.push(words("Bridge/Faults", &of.faults));
-    all.push(words("Bridge/State", &of.state));
+    all.push(words(FLAGS, of.is_up, &of.flags));
+    all.push(words("Bridge/Faults", of.has_status, &of.faults));
+    all.push(words("Bridge/State", of.has_status, &of.state));
     all.extend(numbers(&OFFSETS, "µm", &of.offset_um));
     all.extend(numbers(&["Elongation"], "µm", &[of.elongation_um]));
     all.extend(numbers(&TEMPERATURES, "°C", &of.temperature_c));
@@ -87,8 +88,10 @@ mod tests {
             quality: Some(Quality::Live),
             offset_um: [Some(1.5), None, Some(-2.0)],
             calibration: Some(0xAB),
+            has_status: true,
             ..Snapshot::default()
         };
+        let silent = Snapshot { has_status: false, ..known.clone() };
         let (known, unknown) = (metrics(&known), metrics(&Snapshot::default()));
         let names = |all: &[Metric]| all.iter().map(|it| it.name).collect::<Vec<_>>();
         assert_eq!(names(&known), names(&unknown));
@@ -100,5 +103,8 @@ mod tests {
         assert_eq!(of("Offset/X"), Some(Value::Number(Some(1.5))));
         assert_eq!(of("Calibration/CRC"), Some(Value::Text(Some("000000ab".into()))));
         assert_eq!(of("Bridge/Faults"), Some(Value::Text(Some(String::new()))));
+        let silent = metrics(&silent);
+        let faults = silent.iter().find(|it| it.name == "Bridge/Faults").map(|it| &it.value);
+        assert_eq!(faults, Some(&Value::Text(None)), "without its status no fault is not claimed");
     }
 }

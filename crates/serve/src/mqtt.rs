@@ -43,6 +43,8 @@ const MAX_OPEN: usize = 64;
 const REBIRTH_PERIOD: Duration = Duration::from_millis(500);
 /// Births that are known again when they come back.
 const MAX_BIRTHS: usize = 4_096;
+/// Topics on which another publisher is reported at most.
+const MAX_OTHERS: usize = 16;
 /// How long the last messages may take.
 const FAREWELL: Duration = Duration::from_secs(1);
 /// The first and the longest pause before the next try.
@@ -56,7 +58,7 @@ pub struct Publisher {
     pub broker: Broker,
     /// The name of the edge node.
     pub name: String,
-    /// What distinguishes this publisher from every other one.
+    /// An identifier that no other publisher has.
     pub id: String,
     /// The host application without which nothing is published.
     pub primary_host: Option<String>,
@@ -74,10 +76,10 @@ pub fn run(shared: &Shared, publisher: &Publisher, node: &mut Node) {
         let began = Instant::now();
         let why = connected(shared, publisher, node, &mut reported);
         shared.counts().is_online.store(false, Ordering::Relaxed);
-        shared.spool().rewind();
         if shared.has_ended() {
             return;
         }
+        shared.spool().rewind();
         if reported.as_ref() != Some(&why) {
             (publisher.report)(&format!("the broker is not connected: {why}; it is tried again"));
             reported = Some(why);
@@ -153,7 +155,7 @@ struct Link<'a> {
     born_at: Option<Instant>,
     published_at: Instant,
     looked_at: Instant,
-    /// Hashes of the last births of this connection, which come back as everybody's do.
+    /// Hashes of the last births of this connection: the broker sends them back.
     sent: VecDeque<u64>,
     hasher: RandomState,
     /// Topics on which another publisher was reported.
@@ -184,7 +186,7 @@ impl Link<'_> {
         }
     }
 
-    /// Takes what others have published. Whoever can publish can publish anything.
+    /// Takes a message of the broker. It may hold anything.
     fn take(&mut self, message: &Publish) {
         let topic = message.topic.as_str();
         let is_state =
@@ -208,7 +210,8 @@ impl Link<'_> {
 
     fn take_birth(&mut self, topic: &str, payload: &[u8]) {
         let is_own = self.sent.contains(&self.hasher.hash_one((topic, payload)));
-        if is_own || self.others.iter().any(|it| it == topic) {
+        let is_reported = self.others.iter().any(|it| it == topic);
+        if is_own || is_reported || self.others.len() >= MAX_OTHERS {
             return;
         }
         self.others.push(topic.to_owned());

@@ -9,7 +9,7 @@
 //! | `b1_faults`, `b1_state`, `b1_line` | `Condition`, the words of the bridge as native codes |
 //! | `b1_message` | `Message`: each event, its code as the native code |
 //!
-//! `b1` is the first bridge. What is not known is UNAVAILABLE.
+//! `b1` is the first bridge. A value that is not known is UNAVAILABLE.
 
 pub mod adapter;
 pub mod devices;

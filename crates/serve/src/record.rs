@@ -1,6 +1,7 @@
-//! What is recorded: a row of each bridge once a second, and each event. It counts as recorded when it is on the disk.
+//! Records a row of each bridge once a second, and each event. It counts as recorded when it is on the disk.
 //!
-//! What the disk takes not waits in memory and is tried again; what finds no place there either is counted as lost.
+//! If the disk is full, rows and events wait in memory and are tried again; those that find no place there are counted
+//! as lost.
 
 use std::{
     collections::VecDeque,

@@ -35,7 +35,7 @@ const TURN: Duration = Duration::from_millis(50);
 /// How long one try waits for both ends.
 const ONCE: Duration = Duration::from_secs(5);
 
-/// What is published, and where.
+/// The ends of a publisher, and how it publishes.
 pub struct Options {
     /// The bridges.
     pub ports: Vec<Port>,
@@ -61,7 +61,7 @@ pub struct Options {
     pub version: &'static str,
 }
 
-/// What was done.
+/// The result of a publisher that has ended.
 pub struct Done {
     /// Every end was there.
     pub is_whole: bool,
@@ -150,7 +150,7 @@ fn publish(
     Ok(thread::spawn(move || mqtt::run(&shared, &publisher, &mut node)))
 }
 
-/// What the main thread does in each turn.
+/// The work of the main thread in each turn.
 struct Work<'a> {
     options: &'a Options,
     shared: &'a Shared,

@@ -1,4 +1,4 @@
-//! What the threads of a publisher share: the bridge, the spool, the counts, and the sign to stop.
+//! Shared by the threads of a publisher: the bridge, the spool, the counts, and the sign to stop.
 
 use std::{
     sync::{
@@ -13,7 +13,7 @@ use trueup_client::{ends::Ends, line::Line};
 
 use crate::{bridge::Bridge, snapshot::Snapshot, spool::Spool};
 
-/// From one look at the line to the next. What comes between them is taken together.
+/// From one look at the line to the next. Events between them are taken together.
 const TURN: Duration = Duration::from_millis(5);
 
 /// One for all threads.
@@ -28,12 +28,12 @@ struct Inner {
     stop: Arc<AtomicBool>,
 }
 
-/// What was done since the publisher began.
+/// Counts since the publisher began.
 #[derive(Default)]
 pub struct Counts {
     /// Rows and events on the disk.
     pub recorded: AtomicU64,
-    /// Those that the disk took not.
+    /// Those that found no place on the disk.
     pub not_recorded: AtomicU64,
     /// Those that the broker has acknowledged.
     pub acknowledged: AtomicU64,

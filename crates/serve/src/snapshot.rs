@@ -1,7 +1,10 @@
-//! What is published of a bridge at one moment, and what has happened from one moment to the next.
+//! The state of a bridge at one moment, and the events from one moment to the next.
 
 use trueup_client::words::quality_word;
 use trueup_core::{cnc::Quality, dimensions::CHANNELS};
+
+/// Why a bridge is down whose line is open.
+pub const SILENT: &str = "no offsets come";
 
 /// Who the bridge is, as far as it has answered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -14,12 +17,12 @@ pub struct Identity {
     pub firmware: Option<String>,
 }
 
-/// What is known of a bridge; without a line nothing is.
+/// The known state of a bridge; without a line nothing is known.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Snapshot {
     /// Valid offsets come from it.
     pub is_up: bool,
-    /// Why the line was last lost.
+    /// Why the line was lost, until offsets come again.
     pub why: Option<String>,
     /// Who it is; this outlives the line.
     pub identity: Identity,
@@ -35,9 +38,11 @@ pub struct Snapshot {
     pub elongation_um: Option<f64>,
     /// The commanded positions of X, Y and Z, where the CNC is on this line.
     pub position_mm: [Option<f64>; 3],
-    /// What is wrong with the board.
+    /// The board has said its status a short time ago; else faults, state and calibration are not known.
+    pub has_status: bool,
+    /// Words of the board's faults.
     pub faults: Vec<&'static str>,
-    /// What a CNC must know of it.
+    /// Words of the board's state.
     pub state: Vec<&'static str>,
     /// The CRC of the calibration that it runs on; 0: it has none.
     pub calibration: Option<u32>,
@@ -52,7 +57,7 @@ pub struct Snapshot {
 pub struct Event {
     /// Which kind, for programs.
     pub code: &'static str,
-    /// What it is about: the word of a fault, a quality, a CRC.
+    /// Its subject: the word of a fault, a quality, a CRC.
     pub about: String,
 }
 
@@ -70,8 +75,9 @@ pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
     let mut events = Vec::new();
     match (before.is_up, now.is_up) {
         (true, false) => {
-            events.push(Event::new("bridge-down", now.why.clone().unwrap_or_default()));
-            // What was known of it is unknown now; it has not changed.
+            let why = now.why.clone().unwrap_or_else(|| SILENT.into());
+            events.push(Event::new("bridge-down", why));
+            // The rest is unknown now; it has not changed.
             return events;
         }
         (false, true) => events.push(Event::new("bridge-up", "")),
@@ -95,6 +101,10 @@ pub fn events(before: &Snapshot, now: &Snapshot) -> Vec<Event> {
         && let Some(crc) = now.calibration
     {
         events.push(Event::new("calibration", format!("{crc:08x}")));
+    }
+    // An unknown status has not changed.
+    if !now.has_status {
+        return events;
     }
     let words = [
         ("fault-set", "fault-cleared", &before.faults, &now.faults),
@@ -124,6 +134,7 @@ mod tests {
             quality: Some(Quality::Live),
             faults: vec!["cnc-lost"],
             calibration: Some(0xAB),
+            has_status: true,
             ..Snapshot::default()
         };
         let same = Snapshot { offset_um: [Some(1.0); 3], lost_frames: 3, ..up.clone() };
@@ -145,14 +156,23 @@ mod tests {
             ("state-set", "restarted"),
         ];
         assert_eq!(codes(&up, &now), expected.map(|(code, about)| (code, about.to_owned())));
+        let unknown =
+            Snapshot { has_status: false, faults: Vec::new(), calibration: None, ..up.clone() };
+        assert_eq!(codes(&up, &unknown), [], "a status that does not come clears no fault");
     }
 
     #[test]
     fn a_line_that_is_lost_changes_nothing_else() {
-        let up = Snapshot { is_up: true, faults: vec!["store"], ..Snapshot::default() };
+        let up = Snapshot {
+            is_up: true,
+            has_status: true,
+            faults: vec!["store"],
+            ..Snapshot::default()
+        };
         let down = Snapshot { why: Some("closed".into()), ..Snapshot::default() };
         assert_eq!(codes(&up, &down), [("bridge-down", "closed".to_owned())]);
         assert_eq!(codes(&down, &down), []);
+        assert_eq!(codes(&up, &Snapshot::default()), [("bridge-down", SILENT.to_owned())]);
         let expected = [("bridge-up", String::new()), ("fault-set", "store".into())];
         assert_eq!(codes(&down, &up), expected);
     }

@@ -2,7 +2,7 @@
 //!
 //! The messages are those of `srad-types`; their order is kept by [`node`].
 //!
-//! Sparkplug has its data sent at most once (QoS 0). What must not be lost therefore goes out on topics outside its name
+//! Sparkplug has its data sent at most once (QoS 0). Records and events therefore go out on topics outside its name
 //! space, at least once (QoS 1), with payloads of the same form and an identifier in `uuid`.
 
 pub mod node;

@@ -29,7 +29,7 @@ use anyhow::{Context as _, Result};
 use fs4::FileExt;
 
 pub use self::report::Report;
-use self::segment::{Entry, Record, decode, encode, scan};
+use self::segment::{CRC, Entry, Record, decode, encode, scan};
 
 /// A record is kept for this long after its acknowledgement.
 pub const RESEND: Duration = Duration::from_secs(60);
@@ -63,7 +63,7 @@ pub struct Spool {
     settled: u64,
     /// The last one that was handed out to be sent.
     sent: u64,
-    /// What the broker has, of what is not settled, and since when.
+    /// Records that the broker has acknowledged and that are not settled, with the time of the acknowledgement.
     acknowledged: BTreeMap<u64, Instant>,
     reports: Vec<Report>,
     _lock: File,
@@ -127,7 +127,7 @@ impl Spool {
             let bytes = fs::read(&path)?;
             let (entries, gaps) = scan(id, &bytes);
             for gap in gaps.iter().filter(|gap| {
-                // What was done with before needs no report.
+                // Damage among settled records needs no report.
                 gap.after.is_none_or(|after| after.number > self.settled + 1)
             }) {
                 let copy = self.folder.join("damaged");
@@ -175,6 +175,8 @@ impl Spool {
             // Whatever of it is there must not be read as recorded; the next record begins a file.
             file.set_len(segment.bytes).ok();
             self.active = None;
+            // If the file cannot be cut either, two records must not have one number: the second would count as sent.
+            self.next += entries.len() as u64;
             return Err(error);
         }
         segment.bytes += bytes.len() as u64;
@@ -286,7 +288,7 @@ impl Spool {
         // If it is lost, some records are sent once more.
         let path = self.folder.join(SETTLED);
         let new = path.with_extension("new");
-        let text = format!("{}\n", self.settled);
+        let text = settled_text(self.settled);
         fs::write(&new, text).and_then(|()| fs::rename(&new, &path)).ok();
     }
 
@@ -321,7 +323,14 @@ fn numbers(path: &Path) -> Option<(u64, u64)> {
 
 fn read_settled(folder: &Path) -> u64 {
     let text = fs::read_to_string(folder.join(SETTLED)).unwrap_or_default();
-    text.trim().parse().unwrap_or(0)
+    let number = text.split(' ').next().and_then(|it| it.parse().ok());
+    // A number that is too high by a flipped bit would remove records that were never sent.
+    number.filter(|number| text == settled_text(*number)).unwrap_or(0)
+}
+
+/// Returns the text of the file [`SETTLED`]: the number and its checksum.
+fn settled_text(number: u64) -> String {
+    format!("{number} {:08x}\n", CRC.checksum(&number.to_le_bytes()))
 }
 
 #[cfg(test)]

@@ -10,10 +10,11 @@ use trueup_fleet::{
     worker::{self, Status},
 };
 use trueup_output::escape::shell_word;
+use trueup_serve::broker::is_loopback;
 
-use crate::UserError;
+use crate::{UserError, report};
 
-/// The variables with the name and the password for a server: a command line is seen by everybody on the computer.
+/// The variables with the name and the password for a server: every user of the computer sees a command line.
 pub const USER: &str = "TRUEUP_NATS_USER";
 pub const PASSWORD: &str = "TRUEUP_NATS_PASSWORD";
 
@@ -69,7 +70,11 @@ impl Place {
         if let Some(file) = self.nats_ca.as_ref().filter(|file| !file.is_file()) {
             return Err(UserError(format!("{}: is no file", file.display())));
         }
-        Ok(Access { url, login: login()?, authority: self.nats_ca.clone() })
+        let login = login()?;
+        if login.is_some() && is_readable(&url) {
+            report::warn("--nats: the password can be read on the network: write tls://HOST:PORT");
+        }
+        Ok(Access { url, login, authority: self.nats_ca.clone() })
     }
 
     /// Returns the options that name the place, for a line to be typed.
@@ -103,6 +108,16 @@ impl Opened {
     }
 }
 
+/// Returns whether what is sent to this address can be read on a network.
+fn is_readable(url: &str) -> bool {
+    let address = url.split_once("://").map_or(url, |(_, rest)| rest).trim_end_matches('/');
+    let host = match address.rsplit_once(':') {
+        Some((host, port)) if !port.contains(']') => host,
+        _ => address,
+    };
+    !url.starts_with("tls://") && !is_loopback(host)
+}
+
 /// Returns name and password of the environment.
 pub fn login() -> Result<Option<(String, String)>, UserError> {
     match (env::var(USER).ok(), env::var(PASSWORD).ok()) {
@@ -112,7 +127,26 @@ pub fn login() -> Result<Option<(String, String)>, UserError> {
     }
 }
 
-/// What the user can mend: an address, a login, a server that is not there.
+/// Returns an error that the user can mend: an address, a login, a server that is not there.
 fn said(error: io::Error) -> UserError {
     UserError(error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_password_is_readable_on_the_way_to_another_computer_without_tls() {
+        for url in
+            ["nats://192.168.1.10:4222", "nats://shop", "192.168.1.10", "nats://[fe80::1]:4222"]
+        {
+            assert!(is_readable(url), "{url}");
+        }
+        for url in
+            ["nats://127.0.0.1:4222", "nats://localhost/", "nats://[::1]:4222", "tls://shop:4222"]
+        {
+            assert!(!is_readable(url), "{url}");
+        }
+    }
 }

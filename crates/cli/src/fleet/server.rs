@@ -13,7 +13,7 @@ use trueup_fleet::nats::server::{self, Config};
 use trueup_output::escape::shell_word;
 
 use super::place::login;
-use crate::{Outcome, UserError, output};
+use crate::{Outcome, UserError, output, report};
 
 const PROGRAM: &str = "nats-server";
 
@@ -47,6 +47,11 @@ pub fn run(args: &Server, as_json: bool) -> Result<Outcome> {
     if login.is_none() && !args.listen.ip().is_loopback() {
         let rule = "is seen by other computers: set TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD";
         return Err(UserError(format!("--listen {}: {rule}", args.listen)).into());
+    }
+    if args.tls_cert.is_none() && !args.listen.ip().is_loopback() {
+        let rule =
+            "the password and the runs can be read on the network: give --tls-cert and --tls-key";
+        report::warn(format_args!("--listen {}: {rule}", args.listen));
     }
     let named = |error| UserError(format!("{}: cannot be made: {error}", args.dir.display()));
     fs::create_dir_all(&args.dir).map_err(named)?;

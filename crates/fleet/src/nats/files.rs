@@ -1,10 +1,12 @@
 //! Files between the server and a folder, both ways; each is compared with its checksum.
 
 use std::{
+    fmt::Display,
     fs, io,
     path::{Component, Path},
 };
 
+use async_nats::jetstream::object_store::GetErrorKind;
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncReadExt as _;
 
@@ -26,13 +28,23 @@ impl Remote {
     }
 
     fn fetch(&self, name: &str, path: &Path) -> io::Result<()> {
+        // A file that is missing or damaged stays so: unlike a server that does not answer it is not asked for again.
+        let lost = |error: &dyn Display| damaged(&format!("{name}: {error}"));
         let bytes = self.wait(name, async {
-            let mut object = self.files.get(name).await.map_err(|error| error.to_string())?;
+            let mut object = match self.files.get(name).await {
+                Err(error) if error.kind() == GetErrorKind::NotFound => {
+                    return Ok::<_, String>(Err(lost(&error)));
+                }
+                got => got.map_err(|error| error.to_string())?,
+            };
             let mut bytes = Vec::new();
-            object.read_to_end(&mut bytes).await.map_err(|error| error.to_string())?;
-            Ok::<_, String>(bytes)
+            let read = object.read_to_end(&mut bytes).await;
+            match read {
+                Err(error) if error.kind() == io::ErrorKind::InvalidData => Ok(Err(lost(&error))),
+                other => other.map(|_| Ok(bytes)).map_err(|error| error.to_string()),
+            }
         })?;
-        fs::write(path, bytes)
+        fs::write(path, bytes?)
     }
 
     /// Sends the files of a job.
@@ -49,11 +61,12 @@ impl Remote {
         let text = text.ok_or_else(|| damaged("the job is not on the server"))?;
         let job: Job = serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
         let staged = store.staging(&format!("job-{id}-"))?;
-        fs::write(staged.path().join("job.json"), &text)?;
         for file in job.files() {
             let name = plain(&file.stored)?;
             self.fetch(&format!("jobs/{id}/{name}"), &staged.path().join(name))?;
         }
+        // Last: no file of the job takes its place.
+        fs::write(staged.path().join("job.json"), &text)?;
         store.publish(staged, &store.job(id)).map(|_| ())
     }
 

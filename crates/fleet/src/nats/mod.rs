@@ -11,8 +11,8 @@
 //!
 //! A worker fetches a job into a folder of its own and does it there as [`crate::worker`] does: the result is the same,
 //! to the byte. A message that is not acknowledged within the length of a lease goes to another worker, so a worker
-//! that is killed loses nothing. What was acknowledged is on the server's disk where it synchronises always, as the
-//! server of [`server`] does.
+//! that is killed loses nothing. An acknowledged message is on the server's disk if the server synchronises always, as
+//! that of [`server`] does.
 
 mod files;
 pub mod server;
@@ -20,7 +20,12 @@ mod status;
 mod submit;
 mod worker;
 
-use std::{fmt, io, path::PathBuf, time::Duration};
+use std::{
+    fmt, io,
+    panic::{AssertUnwindSafe, catch_unwind},
+    path::PathBuf,
+    time::Duration,
+};
 
 use async_nats::{
     ConnectOptions,
@@ -39,9 +44,11 @@ const FILES: &str = "trueup-files";
 /// How long a worker that says nothing is shown as the one that has a job.
 const SHOWN: Duration = Duration::from_secs(60);
 const TIMEOUT: Duration = Duration::from_secs(10);
+/// The longest wait for an answer of several parts: a list of keys, a file.
+const LONGEST: Duration = Duration::from_secs(120);
 
 /// How a server is reached.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub struct Access {
     /// Its address, `nats://127.0.0.1:4222`, or `tls://…`.
     pub url: String,
@@ -122,14 +129,23 @@ impl Remote {
         Ok(Self { runtime, url: url.clone(), context, queue, files, jobs, results, failed, leases })
     }
 
-    /// Waits for an answer of the server.
+    /// Waits for an answer of the server, and no longer than [`LONGEST`].
+    ///
+    /// The client's reader of files and keys waits without end for a server that went away in the middle, and panics if it
+    /// went away before the first part. Both are errors here, after which the worker tries again.
     fn wait<T, E: fmt::Display>(
         &self,
         what: &str,
         answer: impl Future<Output = Result<T, E>>,
     ) -> io::Result<T> {
-        let answer = self.runtime.block_on(answer);
-        answer.map_err(|error| io::Error::other(format!("{}: {what}: {error}", self.url)))
+        let answer = async { tokio::time::timeout(LONGEST, answer).await };
+        let why = match catch_unwind(AssertUnwindSafe(|| self.runtime.block_on(answer))) {
+            Ok(Ok(Ok(value))) => return Ok(value),
+            Ok(Ok(Err(error))) => error.to_string(),
+            Ok(Err(_)) => format!("no answer within {} s", LONGEST.as_secs()),
+            Err(_) => "the server went away in the middle of an answer".into(),
+        };
+        Err(io::Error::other(format!("{}: {what}: {why}", self.url)))
     }
 
     fn text(&self, bucket: &kv::Store, id: &str) -> io::Result<Option<String>> {
@@ -138,11 +154,14 @@ impl Remote {
         text.transpose().map_err(|_| io::Error::other(format!("{}: {id}: is no text", self.url)))
     }
 
-    /// Writes a key that is not there yet. Returns whether it was not.
+    /// Writes a key that is not there yet. Returns whether the key has this text now.
     fn is_first(&self, bucket: &kv::Store, id: &str, text: String) -> io::Result<bool> {
-        match self.runtime.block_on(bucket.create(id, text.into())) {
+        match self.runtime.block_on(bucket.create(id, text.clone().into())) {
             Ok(_) => Ok(true),
-            Err(error) if error.kind() == CreateErrorKind::AlreadyExists => Ok(false),
+            // If the server is killed between writing and answering, the client finds the text of this very call there.
+            Err(error) if error.kind() == CreateErrorKind::AlreadyExists => {
+                Ok(self.text(bucket, id)?.as_deref() == Some(text.as_str()))
+            }
             Err(error) => Err(io::Error::other(format!("{}: {id}: {error}", self.url))),
         }
     }

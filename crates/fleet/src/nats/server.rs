@@ -14,8 +14,8 @@ use std::{
 /// The oldest server that can synchronise always.
 pub const OLDEST: (u32, u32) = (2, 10);
 
-/// What a server listens to, and who may ask it.
-#[derive(Clone, Debug)]
+/// The address of a server, its folder, and the login that it asks for.
+#[derive(Clone)]
 pub struct Config {
     /// The address for workers.
     pub listen: SocketAddr,
@@ -86,7 +86,7 @@ pub fn version(server: &Path) -> io::Result<(u32, u32)> {
 }
 
 fn parsed(said: &str) -> Option<(u32, u32)> {
-    let numbers = said.trim().rsplit('v').next()?;
+    let (_, numbers) = said.trim().split_once(": v")?;
     let mut numbers = numbers.split('.').map(|it| it.parse().ok());
     Some((numbers.next()??, numbers.next()??))
 }
@@ -99,6 +99,7 @@ mod tests {
     fn an_old_server_is_not_taken_for_a_new_one() {
         assert_eq!(parsed("nats-server: v2.15.1\n"), Some((2, 15)));
         assert!(parsed("nats-server: v2.9.10").is_some_and(|it| it < OLDEST));
+        assert_eq!(parsed("nats-server: v2.12.0-preview.1"), Some((2, 12)));
         assert_eq!(parsed("no server"), None);
     }
 

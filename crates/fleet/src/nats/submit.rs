@@ -28,14 +28,11 @@ impl Remote {
         let mut other_date = None;
         if let Some(there) = there {
             let there: Job = serde_json::from_str(&there)?;
-            if there.content() != job.content() {
-                let why = format!("{}: {id} is another job", self.url);
-                return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
-            }
-            let is_other = job.date.is_some() && job.date != there.date;
-            other_date = is_other.then(|| there.date.unwrap_or_else(|| "none".into()));
+            other_date = job.other_date(there, format_args!("{}: {id}", self.url))?;
         }
         if self.text(&self.failed, &id)?.is_some() {
+            // A file that was damaged on the server is whole again.
+            self.send_job(&store, &id, &job)?;
             self.wait(&id, self.failed.purge(&id))?;
         }
         if self.text(&self.results, &id)?.is_none() {
@@ -45,7 +42,7 @@ impl Remote {
     }
 
     /// Puts a job into the queue, unless it is there.
-    fn queue(&self, id: &str) -> io::Result<()> {
+    pub(super) fn queue(&self, id: &str) -> io::Result<()> {
         let subject = format!("{SUBJECT}.{id}");
         let sent = self.runtime.block_on(async {
             let sent = self.context.publish(subject.clone(), "".into()).await;

@@ -43,19 +43,8 @@ impl Remote {
         };
         let consumer = self.wait("the queue", self.queue.create_consumer(config))?;
         let team = Team { remote: self, consumer, options, diagnose, tally: Mutex::default() };
-        let errors: Vec<io::Error> = thread::scope(|scope| {
-            let threads: Vec<_> =
-                (0..options.threads.max(1)).map(|_| scope.spawn(|| team.run())).collect();
-            let ended = threads.into_iter().map(|it| match it.join() {
-                Ok(ended) => ended,
-                Err(_) => Err(io::Error::other("a thread of the worker has panicked")),
-            });
-            ended.filter_map(Result::err).collect()
-        });
-        match errors.into_iter().next() {
-            Some(error) => Err(error),
-            None => Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner)),
-        }
+        worker::run_threads(options.threads, |_| team.run())?;
+        Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
@@ -113,21 +102,24 @@ impl Team<'_> {
 
     fn process(&self, message: &Message) -> Result<(), Broken> {
         let Some(id) = id_of(&message.subject) else {
-            // Nobody who follows this form has put it there.
+            // No subject of a job: it was put there by another program.
             return self.acknowledge(message);
         };
         let remote = self.remote;
         let has = |bucket| remote.text(bucket, id).map(|it| it.is_some()).map_err(Broken::Server);
-        if has(&remote.results)? || has(&remote.failed)? {
+        if has(&remote.results)? {
             return self.acknowledge(message);
+        }
+        if has(&remote.failed)? {
+            return self.acknowledge_failed(message, id);
         }
         let (ended, end) = channel::<()>();
         thread::scope(|scope| {
             scope.spawn(move || {
-                self.say_so(message, id);
+                self.report_progress(message, id);
                 while end.recv_timeout(self.options.lease / BEATS) == Err(RecvTimeoutError::Timeout)
                 {
-                    self.say_so(message, id);
+                    self.report_progress(message, id);
                 }
             });
             let done = self.attempt(message, id);
@@ -136,8 +128,8 @@ impl Team<'_> {
         })
     }
 
-    /// Says that a worker has the job still. What is not heard has no harm: the job is done again.
-    fn say_so(&self, message: &Message, id: &str) {
+    /// Reports that this worker still has the job. If the report is lost, the job is done twice, with one result.
+    fn report_progress(&self, message: &Message, id: &str) {
         let taken = message.info().map_or(1, |info| info.delivered);
         let runtime = &self.remote.runtime;
         let _ = runtime.block_on(message.ack_with(AckKind::Progress));
@@ -173,7 +165,11 @@ impl Team<'_> {
             let mut tally = self.tally.lock().unwrap_or_else(PoisonError::into_inner);
             if is_failed { tally.failed += 1 } else { tally.done += 1 }
         }
-        self.acknowledge(message)?;
+        if is_failed {
+            self.acknowledge_failed(message, id)?;
+        } else {
+            self.acknowledge(message)?;
+        }
         let _ = remote.runtime.block_on(remote.leases.purge(id));
         Ok(())
     }
@@ -181,6 +177,17 @@ impl Team<'_> {
     /// Removes a job from the queue, and waits until the server says so.
     fn acknowledge(&self, message: &Message) -> Result<(), Broken> {
         self.remote.wait("the queue", message.double_ack()).map_err(Broken::Server)
+    }
+
+    /// Removes a job that has failed from the queue. If it was submitted again a moment before, the queue did not take it
+    /// a second time: it is put back.
+    fn acknowledge_failed(&self, message: &Message, id: &str) -> Result<(), Broken> {
+        self.acknowledge(message)?;
+        let remote = self.remote;
+        match remote.text(&remote.failed, id).map_err(Broken::Server)? {
+            Some(_) => Ok(()),
+            None => remote.queue(id).map_err(Broken::Server),
+        }
     }
 }
 

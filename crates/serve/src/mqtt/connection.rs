@@ -23,7 +23,7 @@ const MAX_INFLIGHT: u16 = 256;
 /// Maximum bytes of a message that comes, and of one that goes.
 const MAX_PACKETS: [usize; 2] = [64 << 10, 2 << 20];
 
-/// What happened on the connection.
+/// An event of the connection.
 pub enum Happened {
     /// The broker has accepted it.
     Accepted,

@@ -3,7 +3,7 @@
 
 use std::{
     io::{self, BufRead as _, BufReader, Read as _, Write as _},
-    net::{SocketAddr, TcpListener, TcpStream},
+    net::{Shutdown, SocketAddr, TcpListener, TcpStream},
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicUsize, Ordering},
@@ -22,7 +22,7 @@ use crate::{
 
 /// Agents at a time; one more is closed at once.
 const MAX_AGENTS: usize = 16;
-/// Changes that may wait for an agent: of about a minute.
+/// Changes that may wait for an agent: of about three seconds.
 const MAX_WAITING: usize = 64;
 /// An agent asks at least this often whether the adapter lives, in ms.
 const HEARTBEAT_MS: u32 = 10_000;
@@ -30,7 +30,7 @@ const HEARTBEAT_MS: u32 = 10_000;
 const DEAF: Duration = Duration::from_secs(5);
 /// The longest line of an agent, in bytes.
 const MAX_LINE: u64 = 1_024;
-/// How often is looked whether somebody comes.
+/// From one look for a new agent to the next.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// All agents.
@@ -40,7 +40,13 @@ pub struct Adapter(Arc<Mutex<State>>);
 #[derive(Default)]
 struct State {
     lines: Lines,
-    agents: Vec<SyncSender<Arc<str>>>,
+    agents: Vec<Agent>,
+}
+
+/// An agent that is connected.
+struct Agent {
+    queue: SyncSender<Arc<str>>,
+    stream: Arc<TcpStream>,
 }
 
 impl Adapter {
@@ -54,25 +60,30 @@ impl Adapter {
         let changes = state.lines.update(bridges, events, time_ms);
         if !changes.is_empty() {
             let changes: Arc<str> = changes.into();
-            // One whose queue is full loses its line with the sender.
-            state.agents.retain(|agent| agent.try_send(changes.clone()).is_ok());
+            state.agents.retain(|agent| {
+                let is_taken = agent.queue.try_send(changes.clone()).is_ok();
+                if !is_taken {
+                    // It has missed a change: it connects again, and gets all that is known.
+                    agent.stream.shutdown(Shutdown::Both).ok();
+                }
+                is_taken
+            });
         }
     }
 
-    /// Returns how many agents are connected.
-    #[must_use]
-    pub fn agents(&self) -> usize {
-        self.state().agents.len()
-    }
-
     /// Lets an agent have all that is known, and from then on each change.
-    fn join(&self) -> (SyncSender<Arc<str>>, Receiver<Arc<str>>) {
+    fn join(&self, stream: Arc<TcpStream>) -> (SyncSender<Arc<str>>, Receiver<Arc<str>>) {
         let (sender, receiver) = mpsc::sync_channel(MAX_WAITING);
         let mut state = self.state();
         // Under one lock with the changes, so that none is missed between them.
         sender.try_send(state.lines.all(clock::now_ms()).into()).ok();
-        state.agents.push(sender.clone());
+        state.agents.push(Agent { queue: sender.clone(), stream });
         (sender, receiver)
+    }
+
+    /// Forgets an agent that has left.
+    fn leave(&self, stream: &Arc<TcpStream>) {
+        self.state().agents.retain(|agent| !Arc::ptr_eq(&agent.stream, stream));
     }
 
     /// Serves agents in threads of its own, until the end.
@@ -110,20 +121,24 @@ fn talk(adapter: &Adapter, stream: TcpStream) -> io::Result<()> {
     stream.set_nonblocking(false)?;
     stream.set_nodelay(true)?;
     stream.set_write_timeout(Some(DEAF))?;
-    let (answers, lines) = adapter.join();
-    let mut writer = stream.try_clone()?;
+    let stream = Arc::new(stream);
+    let (answers, lines) = adapter.join(stream.clone());
+    let written = stream.clone();
     let writes = thread::spawn(move || {
+        let mut writer = &*written;
         for line in lines {
             if writer.write_all(line.as_bytes()).is_err() {
                 break;
             }
         }
         // Whether it was too slow or has gone: the reader ends too.
-        writer.shutdown(std::net::Shutdown::Both).ok();
+        written.shutdown(Shutdown::Both).ok();
     });
     let answers = Answers(answers);
     answers.until_the_end(&stream);
-    stream.shutdown(std::net::Shutdown::Both).ok();
+    stream.shutdown(Shutdown::Both).ok();
+    // The writer may wait for a change: without a sender it ends.
+    adapter.leave(&stream);
     drop(answers);
     writes.join().ok();
     Ok(())

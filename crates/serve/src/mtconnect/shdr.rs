@@ -7,15 +7,15 @@ use trueup_output::escape::one_line;
 
 use crate::{
     clock::utc_text,
-    snapshot::{Event, Snapshot},
+    snapshot::{Event, SILENT, Snapshot},
 };
 
-/// What an agent is given for a value that is not known.
+/// Stands for a value that is not known.
 const UNAVAILABLE: &str = "UNAVAILABLE";
 /// The longest text of a line, in characters.
 const MAX_TEXT: usize = 200;
 
-/// What an agent knows of a bridge: the values of its data items, and the codes of its conditions.
+/// The knowledge of an agent about a bridge: the values of its data items, and the codes of its conditions.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Known {
     values: Vec<(String, String)>,
@@ -126,9 +126,9 @@ fn known(of: &Snapshot, number: usize) -> Known {
             let text = remedies(&[*word]).first().map_or(*word, |(_, text)| *text);
             ((*word).to_owned(), clean(text))
         };
-        of.is_up.then(|| words.iter().map(coded).collect())
+        of.has_status.then(|| words.iter().map(coded).collect())
     };
-    let why = of.why.as_deref().unwrap_or("no offsets come");
+    let why = of.why.as_deref().unwrap_or(SILENT);
     let line = if of.is_up { Vec::new() } else { vec![("bridge-down".into(), clean(why))] };
     let condition = |name, level, codes| Condition { key: key(name), level, codes };
     let conditions = vec![
@@ -152,6 +152,7 @@ mod tests {
     fn up() -> Snapshot {
         Snapshot {
             is_up: true,
+            has_status: true,
             offset_um: [Some(1.25), Some(0.0), None],
             faults: vec!["store", "cnc-lost"],
             ..Snapshot::default()
@@ -173,6 +174,10 @@ mod tests {
         let cleared = Snapshot { faults: vec!["cnc-lost"], ..up() };
         let line = "1970-01-01T00:00:00.002Z|b1_faults|NORMAL|store|||\n";
         assert_eq!(lines.update(&[cleared], &[], 2), line);
+        let unknown = Snapshot { has_status: false, ..up() };
+        let mut others = Lines::default();
+        let first = others.update(&[unknown], &[], 2);
+        assert!(first.contains("|b1_faults|UNAVAILABLE||||\n"), "{first}");
         let none = Snapshot { faults: Vec::new(), ..up() };
         let line = "1970-01-01T00:00:00.003Z|b1_faults|NORMAL||||\n";
         assert_eq!(lines.update(&[none], &[], 3), line);

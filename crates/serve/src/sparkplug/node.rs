@@ -25,7 +25,7 @@ const BD_SEQ: &str = "bdSeq";
 /// The metric by which a publisher knows its own births.
 pub const PUBLISHER: &str = "Properties/Publisher";
 
-/// What is to be published.
+/// A message to be published.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Message {
     /// Where.
@@ -43,7 +43,7 @@ pub struct Node {
     version: &'static str,
     seq: u8,
     bd_seq: u8,
-    /// What was last said of the node itself.
+    /// The last published metrics of the node itself.
     own: Option<Vec<Metric>>,
     devices: Vec<Device>,
 }
@@ -53,11 +53,11 @@ pub struct Node {
 struct Device {
     /// Its identifier; `None`: it is not there.
     id: Option<String>,
-    /// What was last said of it.
+    /// Its last published metrics.
     said: Vec<Metric>,
 }
 
-/// What is published of the node itself.
+/// The metrics of the node itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Own {
     /// Records and events on the disk since the publisher began: it changes with each row, so that a host that comes
@@ -178,7 +178,12 @@ impl Node {
     fn birth(&mut self, metrics: &[Metric], time_ms: u64) -> Message {
         self.seq = 0;
         let mut all = vec![self.numbered_connection(time_ms)];
-        all.extend(metrics.iter().zip(1..).map(|(it, alias)| born(it, alias, time_ms)));
+        all.extend(metrics.iter().zip(1..).map(|(it, alias)| {
+            let mut metric = born(it, alias, time_ms);
+            // Sparkplug has a host ask for it by its name.
+            metric.alias = metric.alias.filter(|_| it.name != REBIRTH);
+            metric
+        }));
         self.numbered("NBIRTH", None, all, time_ms)
     }
 

@@ -1,4 +1,4 @@
-//! What went wrong with the spool, for people: which records, of which time, and where they are now.
+//! Damage and overrun of the spool as sentences: which records, of which time, and where they are now.
 
 use std::{
     fmt,

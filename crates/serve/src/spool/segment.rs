@@ -23,7 +23,8 @@ const HEAD: usize = 24;
 const AROUND: usize = HEAD + 2 + 4;
 /// Maximum bytes of topic and payload: a length above it is a damaged one.
 const MAX_BODY: usize = 1 << 20;
-const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+/// The checksum of all that a spool keeps.
+pub(super) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
 /// A record as it is sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,7 +35,7 @@ pub struct Record {
     pub time_ms: u64,
     /// Where it is published.
     pub topic: String,
-    /// What is published.
+    /// The bytes that are published.
     pub payload: Vec<u8>,
 }
 

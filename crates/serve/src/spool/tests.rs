@@ -89,6 +89,22 @@ fn acknowledgements_in_another_order_settle_nothing_that_is_open() {
 }
 
 #[test]
+fn a_damaged_number_of_what_is_settled_costs_no_record() {
+    let folder = folder();
+    let mut spool = open(&folder);
+    fill(&mut spool, 0..3);
+    texts(&mut spool);
+    spool.acknowledge(1, Instant::now());
+    spool.settle(Instant::now() + RESEND);
+    drop(spool);
+    let path = folder.path().join(SETTLED);
+    let text = fs::read_to_string(&path).expect("the file");
+    assert_eq!(numbers_of(&texts(&mut open(&folder))), [1, 2]);
+    fs::write(&path, text.replacen('1', "9", 1)).expect("the file");
+    assert_eq!(numbers_of(&texts(&mut open(&folder))), [0, 1, 2]);
+}
+
+#[test]
 fn a_flipped_bit_is_reported_with_number_and_time_and_all_others_are_sent() {
     let folder = folder();
     let mut spool = open(&folder);

@@ -26,7 +26,7 @@ use trueup_store::calibration::decode;
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");
 
-/// What the test does to the bridge.
+/// The switches by which a test acts on the bridge.
 #[derive(Clone, Default)]
 pub struct Switches {
     /// Its CNC wants no offsets.

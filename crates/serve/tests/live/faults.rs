@@ -1,4 +1,4 @@
-//! What may go wrong around a publisher: hostile payloads, a second publisher, passwords and certificates.
+//! Faults around a publisher: hostile payloads, a second publisher, passwords and certificates.
 
 use std::{fs, process::Command, time::Instant};
 
@@ -131,7 +131,7 @@ fn a_broker_that_asks_for_a_password_is_given_it_and_a_wrong_one_is_reported() -
     wrong.wait_for_log("the broker is not connected")?;
     let right = of("right", "right");
     let _right = right.spawn()?;
-    // What is acknowledged is settled only later; that it was connected is what its number says.
+    // The number of its connection says that it was connected.
     let publisher = right.spool.join("publisher");
     let end = Instant::now() + crate::parts::PATIENCE;
     while !fs::read_to_string(&publisher).unwrap_or_default().ends_with(" 0\n") {

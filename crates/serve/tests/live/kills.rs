@@ -1,5 +1,4 @@
-//! Publisher, broker and network are killed at drawn instants: whatever was recorded arrives, with one identifier
-//! however often, and the state is right again at once.
+//! Publisher and broker are killed at drawn instants: each record arrives, with one identifier however often, and the state is right again at once.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -56,7 +55,7 @@ fn schedules(count: u32, seed: u64) -> Result<(usize, Duration)> {
     let folder = tempfile::tempdir()?;
     let mut broker = Mosquitto::start(folder.path(), "")?;
     let host = Host::start(broker.port)?;
-    // Its session is on the broker's disk before anybody kills it.
+    // Its session is on the broker's disk before it is killed.
     thread::sleep(Duration::from_millis(1_500));
     let mut start = Start {
         bridge: bridge::start(Switches::default()),
@@ -135,9 +134,9 @@ fn nothing_that_was_recorded_is_lost_in_twelve_schedules() -> Result<()> {
     Ok(())
 }
 
-/// `cargo test -p trueup-serve --test live -- --ignored --nocapture campaign_`
+/// 50 schedules of kills, four minutes.
 #[test]
-#[ignore = "campaign: 50 schedules of kills, four minutes"]
+#[ignore = "campaign: cargo test -p trueup-serve --test live campaign_ -- --ignored --nocapture"]
 fn campaign_nothing_is_lost_in_fifty_schedules_of_kills() -> Result<()> {
     let (records, longest) = schedules(50, 2_026)?;
     println!("50 schedules: {records} recorded, 0 lost; state right after {longest:?} at most");

@@ -55,7 +55,7 @@ fn an_agent_keeps_what_the_bridge_does_and_notices_that_it_is_gone() -> Result<(
         ensure!(Instant::now() < end, "{text}\n{}", start.log());
         thread::sleep(Duration::from_millis(50));
     }
-    // Who says what is no line, or too long a one, is closed and disturbs nobody.
+    // A client that sends no line, or too long a one, is closed; the agents go on.
     let mut hostile = TcpStream::connect(("127.0.0.1", port))?;
     hostile.write_all(&[b'x'; 100_000]).ok();
     let off = switches.is_off.clone();

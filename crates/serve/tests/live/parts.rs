@@ -123,7 +123,7 @@ impl Host {
         thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
                 let value = serde_json::from_str(&line).unwrap_or_else(|_| json!({ "what": line }));
-                keep.lock().expect("nobody panics with it").push((Instant::now(), value));
+                keep.lock().expect("no thread panics with it").push((Instant::now(), value));
             }
         });
         let host = Self { process: Process(child), said };
@@ -132,7 +132,7 @@ impl Host {
     }
 
     pub fn said(&self) -> Vec<(Instant, Value)> {
-        self.said.lock().expect("nobody panics with it").clone()
+        self.said.lock().expect("no thread panics with it").clone()
     }
 
     /// Waits for a message; returns when it came, and it.
@@ -175,7 +175,7 @@ impl Host {
     }
 }
 
-/// What a publisher is started with.
+/// The options of a publisher.
 #[derive(Clone, Default)]
 pub struct Start {
     pub bridge: String,

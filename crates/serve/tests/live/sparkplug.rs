@@ -1,4 +1,4 @@
-//! What a Sparkplug host that others wrote makes of the publisher, from the birth to the death.
+//! A Sparkplug host that others wrote reads the publisher, from the birth to the death.
 
 use std::{
     sync::atomic::Ordering,

@@ -14,7 +14,7 @@ fn node() -> Node {
 }
 
 /// Returns the topics without those of the retained state, shortened, with their sequence numbers.
-fn told(messages: &[Message]) -> Vec<(String, Option<u64>)> {
+fn numbered(messages: &[Message]) -> Vec<(String, Option<u64>)> {
     let live = messages.iter().filter(|it| !it.is_retained);
     live.map(|it| {
         let topic = it.topic.replace("spBv1.0/trueup/", "");
@@ -34,22 +34,25 @@ fn births_come_in_order_and_then_only_what_has_changed() {
     let own = Own::default();
     let bridges = [bridge(0xAB, 1.0), Snapshot::default()];
     let births = node.update(own, &bridges, 1);
-    assert_eq!(told(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/000000ab", 1)]));
+    assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/000000ab", 1)]));
     assert_eq!(node.update(own, &bridges, 2), []);
 
     let bridges = [bridge(0xAB, 2.0), bridge(0xCD, 0.0)];
     let messages = node.update(own, &bridges, 3);
     let all = [("DDATA/n/000000ab", 2), ("DBIRTH/n/000000cd", 3)];
-    assert_eq!(told(&messages), expected(&all));
+    assert_eq!(numbered(&messages), expected(&all));
     let changed = decode(&messages[0].payload).expect("a payload");
     assert_eq!(changed.len(), 1);
     assert_eq!(changed[0].value, Some(metric::Value::DoubleValue(2.0)));
     let birth = decode(&births[1].payload).expect("a payload");
     let named = birth.iter().find(|it| it.alias == changed[0].alias).expect("its alias");
     assert_eq!(named.name.as_deref(), Some("Offset/X"));
+    let node_birth = decode(&births[0].payload).expect("a payload");
+    let rebirth = node_birth.iter().find(|it| it.name.as_deref() == Some(REBIRTH));
+    assert_eq!(rebirth.expect("it can be asked for").alias, None, "hosts name it");
 
     let waiting = Own { waiting: 3, ..own };
-    assert_eq!(told(&node.update(waiting, &bridges, 4)), expected(&[("NDATA/n", 4)]));
+    assert_eq!(numbered(&node.update(waiting, &bridges, 4)), expected(&[("NDATA/n", 4)]));
 }
 
 #[test]
@@ -59,10 +62,10 @@ fn a_bridge_that_is_lost_or_exchanged_dies() {
     node.update(Own::default(), &[bridge(1, 0.0)], 1);
     let exchanged = node.update(Own::default(), &[bridge(2, 0.0)], 2);
     let all = [("DDEATH/n/00000001", 2), ("DBIRTH/n/00000002", 3)];
-    assert_eq!(told(&exchanged), expected(&all));
+    assert_eq!(numbered(&exchanged), expected(&all));
     let lost = Snapshot { is_up: false, ..bridge(2, 0.0) };
     let messages = node.update(Own::default(), std::slice::from_ref(&lost), 3);
-    assert_eq!(told(&messages), expected(&[("DDEATH/n/00000002", 4)]));
+    assert_eq!(numbered(&messages), expected(&[("DDEATH/n/00000002", 4)]));
     let retained =
         messages.iter().find(|it| it.is_retained).expect("the state of those that come later");
     assert_eq!(retained.topic, "trueup/n/00000002/state");
@@ -94,8 +97,8 @@ fn a_rebirth_says_everything_again_from_sequence_0_and_sequences_come_round() {
     for n in 0..300_u32 {
         let messages = node.update(Own::default(), &[bridge(1, 1.0 + f64::from(n))], 2);
         let expected = u64::from((n + 2) % 256);
-        assert_eq!(told(&messages)[0].1, Some(expected));
+        assert_eq!(numbered(&messages)[0].1, Some(expected));
     }
     let births = node.rebirth(Own::default(), &[bridge(1, 5.0)], 3);
-    assert_eq!(told(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/00000001", 1)]));
+    assert_eq!(numbered(&births), expected(&[("NBIRTH/n", 0), ("DBIRTH/n/00000001", 1)]));
 }
