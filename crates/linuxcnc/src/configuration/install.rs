@@ -56,7 +56,13 @@ pub fn setup(
             "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
         ));
     }
-    for (what, text) in [("port", bridge.port.as_ref()), ("path", bridge.machine.as_ref())] {
+    let has_file = demand.no_board.is_some();
+    let calibration = has_file.then(|| whole_path(ini, CALIBRATION).display().to_string());
+    for (what, text) in [
+        ("port", bridge.port.as_ref()),
+        ("path", bridge.machine.as_ref()),
+        ("path", calibration.as_ref()),
+    ] {
         if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
             report.findings.push(Finding::error(
                 Location::start_of(ini.path()),
