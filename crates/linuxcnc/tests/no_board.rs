@@ -189,6 +189,11 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
         blob.is_empty() && said.iter().any(|it| it.contains("without a board it is 0.5")),
         "{said:?}"
     );
+    for (thread, is_said) in [("30000", true), ("25000", false), ("0", false)] {
+        let with = ini().replace("= 1000000", &format!("= 1000000\nBASE_PERIOD = {thread}"));
+        let (said, _) = written(&with, Entry::Joint, "trueup_calibration.bin");
+        assert_eq!(said.iter().any(|it| it.contains("990000 ns")), is_said, "{said:?}");
+    }
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("machine.ini");
     fs::write(&path, odd).expect("writes");
