@@ -183,3 +183,21 @@ fn without_a_board_the_servo_thread_corrects_a_stock_configuration_in_time() -> 
     ensure!(retained::load(&copies).is_some(), "a copy of the heat is whole");
     cnc.end()
 }
+
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn without_a_board_external_offsets_act_at_half_a_millisecond() -> Result<()> {
+    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let mut cnc = start(control, "eoffset", 500)?;
+    is_live(&mut cnc)?;
+    let names = ["axis.x.eoffset", "axis.y.eoffset", "trueup.0.applied"];
+    for (line, x_mm, y_mm) in
+        [("G53 G1 F1500 X-45 Y5", -0.05, 0.0), ("G53 G1 F1500 Y0", -0.05, -0.006)]
+    {
+        cnc.act("mdi", "text", line)?;
+        cnc.wait(line, 10, &names, |seen| {
+            (seen[0] - x_mm).abs() < 2e-5 && (seen[1] - y_mm).abs() < 2e-5 && seen[2] == 1.0
+        })?;
+    }
+    cnc.end()
+}
