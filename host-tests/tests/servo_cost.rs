@@ -1,4 +1,4 @@
-//! What a servo period of the bridge without a board costs, and what its library can never do.
+//! Instructions of a servo period of the bridge without a board, and the absence of panics in its library.
 //!
 //! The static library that a release has is linked to a small program in C. Callgrind counts the instructions of each of
 //! the last periods; the linker's symbols show that no panic and no allocation is left in it. Time is not measured here:

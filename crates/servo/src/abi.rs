@@ -95,9 +95,9 @@ pub struct CInputs {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct COutputs {
-    /// What the bridge says, in µm.
+    /// Offsets of the bridge, in µm.
     pub offset_um: [f64; 3],
-    /// What LinuxCNC has applied, in µm.
+    /// Offsets that LinuxCNC has applied, in µm.
     pub applied_um: [f64; 3],
     /// Goal of each joint's offset, in machine units.
     pub joint_offset: [f64; MAX_JOINTS],
@@ -115,7 +115,7 @@ pub struct COutputs {
     pub quality: i32,
     /// As on the wire.
     pub flags: u32,
-    /// What the bridge says of itself: item 8 of `Status`.
+    /// State of the bridge: item 8 of `Status`.
     pub state: u32,
     /// Milliseconds since the sample on which the offset rests.
     pub age_ms: u32,

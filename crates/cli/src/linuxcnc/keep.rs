@@ -22,11 +22,11 @@ use trueup_store::retained::{self, Copies, SIZE};
 
 use crate::{Outcome, output};
 
-/// How often the memory is looked at.
+/// Time between two looks at the memory.
 const LOOK: Duration = Duration::from_secs(1);
-/// How often the file is written: what a crash of the computer costs at the most.
+/// Time between two writes of the file: the most heat that a crash of the computer loses.
 const WRITE: Duration = Duration::from_secs(10);
-/// A servo thread that has saved nothing for so long is gone.
+/// After this time without a new copy the servo thread counts as gone.
 const GONE: Duration = Duration::from_secs(60);
 
 /// From where to where.

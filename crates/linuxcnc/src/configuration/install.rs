@@ -145,7 +145,7 @@ fn whole_path(ini: &IniLines, name: &str) -> PathBuf {
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(name)
 }
 
-/// Returns the change of the calibration's file, if it has to change. What is no calibration belongs to somebody else.
+/// Returns the change of the calibration's file, if it has to change. A file that is no calibration is not ours.
 fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
     let path = whole_path(ini, CALIBRATION);
     let before = if is_file(&path) { Some(bounded::read(&path, MOST_BYTES)?) } else { None };
