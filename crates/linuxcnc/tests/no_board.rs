@@ -122,6 +122,7 @@ fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
         "{text}"
     );
     let at = |line: &str| text.find(line).unwrap_or_else(|| panic!("{line} is in\n{text}"));
+    assert!(text.contains("the feed is held") && !text.contains("trueup.log"), "{text}");
     // Feedback before the controller, then the controller (6), then the node and the limiter.
     assert!(
         at("addf trueup-j4.update-feedback servo-thread 5") < at("addf trueup.0 servo-thread 7")
