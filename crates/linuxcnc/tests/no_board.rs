@@ -113,6 +113,7 @@ fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
         "{text}"
     );
     let at = |line: &str| text.find(line).unwrap_or_else(|| panic!("{line} is in\n{text}"));
+    assert!(text.contains("the feed is held") && !text.contains("trueup.log"), "{text}");
     // Feedback before the controller, then the controller (6), then the node and the limiter.
     assert!(
         at("addf trueup-j4.update-feedback servo-thread 5") < at("addf trueup.0 servo-thread 7")
@@ -180,6 +181,11 @@ fn the_calibration_is_that_of_compile_and_an_odd_servo_period_is_refused() {
         blob.is_empty() && said.iter().any(|it| it.contains("without a board it is 0.5")),
         "{said:?}"
     );
+    for (thread, is_said) in [("30000", true), ("25000", false), ("0", false)] {
+        let with = ini().replace("= 1000000", &format!("= 1000000\nBASE_PERIOD = {thread}"));
+        let (said, _) = written(&with, Entry::Joint, "trueup_calibration.bin");
+        assert_eq!(said.iter().any(|it| it.contains("990000 ns")), is_said, "{said:?}");
+    }
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("machine.ini");
     fs::write(&path, odd).expect("writes");

@@ -48,6 +48,8 @@ RTAPI_MP_INT(rotary, "angles are given")
 
 #define NAME "trueup.0"
 #define CONDITIONS 16
+/* As on the wire. */
+#define NOT_AVAILABLE 6
 /* A calibration is 16 KiB at the most. */
 #define MAX_CALIBRATION 32768
 #define SAY(...) rtapi_print_msg(RTAPI_MSG_ERR, "trueup_node: " __VA_ARGS__)
@@ -191,7 +193,11 @@ static void step(void *unused, long period)
         refused = trueup_servo_step(memory, &inputs, &outputs, (uint64_t)period);
     }
     if (refused) {
+        /* Offsets stay as they are; the heartbeat stands, and the HAL file holds the feed. */
         *pins->fault = 1;
+        *pins->applied = 0;
+        *pins->connected = 0;
+        *pins->quality = NOT_AVAILABLE;
         SAY("no offsets: %s\n", trueup_servo_reason(refused));
         return;
     }
@@ -289,7 +295,7 @@ static int make_outputs(void)
     for (int i = 0; i < TRUEUP_TEMPERATURES; i++) { FLOAT(HAL_OUT, pins->temp[i], NAN, "temp-%02d", i); }
     FLOAT(HAL_OUT, pins->elongation_um, NAN, "elongation-um");
     FLOAT(HAL_OUT, pins->scale, MM_PER_COUNT, "scale");
-    S32(HAL_OUT, pins->quality, 6, "quality");
+    S32(HAL_OUT, pins->quality, NOT_AVAILABLE, "quality");
     U32(HAL_OUT, pins->flags, 0, "flags");
     U32(HAL_OUT, pins->age_ms, 0, "age-ms");
     U32(HAL_OUT, pins->state, 0, "state");
@@ -333,8 +339,10 @@ static void load_heat(void)
         if (read(from, heat_before, sizeof heat_before) != sizeof heat_before) memset(heat_before, 0, sizeof heat_before);
         close(from);
     }
-    /* rtapi_app is root here; who keeps the heat is the user, and has to read it. */
-    memory_file = open(heat_memory, O_RDWR | O_CREAT | O_TRUNC | O_NOFOLLOW | O_CLOEXEC, 0644);
+    /* A new file: cutting one that another LinuxCNC still has mapped would end its servo thread. */
+    unlink(heat_memory);
+    /* The program that reads it may run as another user than rtapi_app. */
+    memory_file = open(heat_memory, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0644);
     if (memory_file < 0 || fchmod(memory_file, 0644) || ftruncate(memory_file, TRUEUP_RETAINED_BYTES)) {
         SAY("%s cannot be made: the heat is not kept over a restart\n", heat_memory);
         if (memory_file >= 0) close(memory_file);

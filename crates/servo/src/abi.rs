@@ -95,9 +95,9 @@ pub struct CInputs {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct COutputs {
-    /// What the bridge says, in µm.
+    /// Offsets of the bridge, in µm.
     pub offset_um: [f64; 3],
-    /// What LinuxCNC has applied, in µm.
+    /// Offsets that LinuxCNC has applied, in µm.
     pub applied_um: [f64; 3],
     /// Goal of each joint's offset, in machine units.
     pub joint_offset: [f64; MAX_JOINTS],
@@ -115,7 +115,7 @@ pub struct COutputs {
     pub quality: i32,
     /// As on the wire.
     pub flags: u32,
-    /// What the bridge says of itself: item 8 of `Status`.
+    /// State of the bridge: item 8 of `Status`.
     pub state: u32,
     /// Milliseconds since the sample on which the offset rests.
     pub age_ms: u32,
@@ -315,7 +315,7 @@ mod number {
         match number {
             0 => c"nothing is wrong",
             MEMORY => c"the component and its library do not fit together: build it again (trueup linuxcnc component)",
-            2 => c"the servo period is none of 0.5, 1, 2 and 4 ms: set [EMCMOT]SERVO_PERIOD to 500000, 1000000, 2000000 or 4000000",
+            2 => c"the servo period is none of 0.5, 1, 2 and 4 ms: set [EMCMOT]SERVO_PERIOD to 500000, 1000000, 2000000 or 4000000, and BASE_PERIOD of a base thread to a divisor of it",
             3 => c"the file is no calibration: write it with trueup compile, or run trueup linuxcnc setup again",
             4 => c"the calibration is not whole: write it with trueup compile, or run trueup linuxcnc setup again",
             5 => c"the calibration was written by another version of trueup: run trueup linuxcnc setup again",

@@ -1,4 +1,4 @@
-//! The component in C, as text for whoever builds it: it is compiled on the computer on which LinuxCNC runs.
+//! The component in C, as text: `trueup linuxcnc component` compiles it on the computer on which LinuxCNC runs.
 
 /// Name of the static library.
 pub const LIBRARY: &str = "libtrueup_servo.a";

@@ -1,4 +1,4 @@
-//! What a static library without `std` needs: a panic handler. Nothing leads to it, which a test shows on the library.
+//! The panic handler, which a static library without `std` needs. Nothing leads to it, which a test shows on the library.
 #![allow(unsafe_code, reason = "C's way to end a process")]
 
 unsafe extern "C" {

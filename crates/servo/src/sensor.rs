@@ -11,7 +11,7 @@
 //! | not a number | none: samples are missing |
 //! | beyond the converter's range | its ends, which are rails |
 //!
-//! What turns with the spindle faster than half the rate of samples cannot be told from something slow: a spindle speed
+//! A signal that turns with the spindle faster than half the rate of samples looks like a slow one: a spindle speed
 //! close to a whole number of servo periods a revolution needs a low-pass filter before the input.
 
 use trueup_core::{dimensions::CODES_PER_TICK, units::Code};
@@ -61,7 +61,7 @@ impl Samples {
         }
         let whole = codes as u16;
         let share = length as f64;
-        // Of the part's codes so many are one above.
+        // This number of the part's codes is one above.
         let above = ((codes - f64::from(whole)) * share + 0.5) as usize;
         let below = length.saturating_sub(above);
         for (place, code_at) in places.enumerate() {

@@ -44,9 +44,9 @@ use crate::{
 
 pub use trueup_linuxcnc_core::component::Outputs;
 
-/// The bridge is next door: silence for so long is a fault of this program.
+/// The bridge runs in the same thread: a silence of this length is a fault of this program.
 const STALE: Duration = Duration::from_millis(100);
-/// What outlasts a restart is saved so often: no heat changes faster.
+/// Time between two copies of the heat, which changes no faster.
 const RETAIN_US: u64 = 1_000_000;
 const US_PER_S: u64 = 1_000_000;
 const NS_PER_US: u64 = 1_000;
@@ -73,7 +73,7 @@ pub struct Settings {
     pub planner_keeps_slew: [bool; 3],
     /// The joints at which offsets enter; none: as external offsets of the axes.
     pub joints: [Option<Joint>; MAX_JOINTS],
-    /// Temperatures that are given by a program count as missing when its heartbeat stands for so long; 0: never.
+    /// Temperatures that are given by a program count as missing when its heartbeat has stood for this time; 0: never.
     pub temperature_timeout_ms: u32,
 }
 
@@ -86,7 +86,7 @@ pub struct Joint {
     pub limits: [f64; 2],
 }
 
-/// What the pins say. Lengths are in machine units.
+/// Values of the pins. Lengths are in machine units.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inputs {
     /// The operator wants offsets.
@@ -304,7 +304,7 @@ impl Servo {
             self.component.step(now, &self.component_inputs(inputs, position));
         outputs.calibration = Some(self.calibration);
         for frame in &frames {
-            // What is refused is counted, and the node's status says so.
+            // The node counts a refused frame, and its status has the count.
             self.node.hear(Line::Can, frame).ok();
         }
         self.now_us = self.now_us.saturating_add(period_us);

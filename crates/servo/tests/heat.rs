@@ -44,7 +44,7 @@ fn servo(blob: &'static [u8]) -> Servo {
     Servo::new(blob, &settings, PERIOD_NS).expect("starts")
 }
 
-/// Runs for so many seconds; the last outputs.
+/// Runs for a number of seconds, and returns the last outputs.
 fn live(servo: &mut Servo, copies: &mut Copies, rpm: f64, seconds: u32) -> Outputs {
     let mut inputs = Inputs {
         enable: true,
@@ -60,10 +60,9 @@ fn live(servo: &mut Servo, copies: &mut Copies, rpm: f64, seconds: u32) -> Outpu
     (inputs.temperature_c[0], inputs.temperature_c[1]) = (31.0, 22.0);
     let mut last = Outputs::default();
     for _ in 0..seconds * 1_000 {
-        for (axis, nm) in [0, 1, 2].map(|axis| (axis, last.offset_um[axis])) {
+        for (axis, counts) in last.counts.into_iter().enumerate() {
             // LinuxCNC takes every step at once.
-            let _ = nm;
-            inputs.request[axis] += f64::from(last.counts[axis]) * 1e-6;
+            inputs.request[axis] += f64::from(counts) * 1e-6;
             inputs.eoffset[axis] = inputs.request[axis];
         }
         last = servo.step(&inputs, PERIOD_NS).expect("a servo period");
@@ -92,7 +91,7 @@ fn warm(blob: &'static [u8]) -> (Copies, f64) {
 }
 
 #[test]
-fn the_heat_goes_on_after_a_restart_less_what_it_cooled_meanwhile() {
+fn copies_that_were_written_without_a_clock_are_not_believed() {
     let blob = blob();
     let (copies, grown_um) = warm(blob);
     assert!(grown_um.abs() > 30.0, "{grown_um} um");
@@ -102,7 +101,7 @@ fn the_heat_goes_on_after_a_restart_less_what_it_cooled_meanwhile() {
         servo.resume(&copies, Some(NOW_S + off_s));
         live(&mut servo, &mut copies, 18_000.0, 12)
     };
-    // Without a clock when it was written nobody knows for how long it cooled.
+    // Written without a clock: the time of cooling is not known.
     let unknown = after(1);
     assert!(unknown.state.0 & StateBits::HEAT_UNKNOWN.0 != 0, "{unknown:?}");
 }

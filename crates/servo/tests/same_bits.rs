@@ -391,7 +391,7 @@ fn outputs() -> COutputs {
     }
 }
 
-/// Runs both side by side, and compares every offset and quality.
+/// Runs both side by side, and compares every offset, goal of a joint and quality.
 fn compare(ticks: u64) {
     // The bridge lives as long as the process.
     let blob: &'static [u8] = blob().leak();
@@ -418,6 +418,11 @@ fn compare(ticks: u64) {
         assert_eq!(bits(outputs.offset_um), bits(expected.offset_um), "tick {tick}");
         assert_eq!(outputs.quality, expected.quality as i32, "tick {tick}");
         assert_eq!(outputs.flags, u32::from(expected.flags.0), "tick {tick}");
+        for (n, joint) in expected.joints.iter().enumerate() {
+            let ours = [outputs.joint_offset[n], outputs.joint_min[n], outputs.joint_max[n]];
+            let theirs = [joint.offset_nm, joint.min_nm, joint.max_nm].map(|nm| nm / 1e6);
+            assert_eq!(ours.map(f64::to_bits), theirs.map(f64::to_bits), "tick {tick}, joint {n}");
+        }
         seen[outputs.quality as usize] += 1;
         for (largest, um) in largest.iter_mut().zip(outputs.offset_um) {
             *largest = largest.max(um.abs());

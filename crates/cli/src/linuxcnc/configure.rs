@@ -312,15 +312,17 @@ fn set_up(args: &Setup, as_json: bool) -> Result<Outcome> {
         ))
         .into());
     }
-    write(&changes)?;
     if as_json {
+        write(&changes)?;
         output::print(
             json!({"by": demand.entry.name(), "changed": names(&changes), "facts": found.facts}),
         )?;
         return Ok(Outcome::Done);
     }
-    found.facts.iter().try_for_each(output::print)?;
+    // Before lines are added: a finding shows its line of the file.
     print_findings(&found);
+    write(&changes)?;
+    found.facts.iter().try_for_each(output::print)?;
     print_changes(&changes, "set up already; nothing was changed")?;
     output::print(format!("then: linuxcnc {}", args.ini.display()))?;
     Ok(Outcome::Done)

@@ -22,11 +22,11 @@ use trueup_store::retained::{self, Copies, SIZE};
 
 use crate::{Outcome, output};
 
-/// How often the memory is looked at.
+/// Time between two looks at the memory.
 const LOOK: Duration = Duration::from_secs(1);
-/// How often the file is written: what a crash of the computer costs at the most.
+/// Time between two writes of the file: the most heat that a crash of the computer loses.
 const WRITE: Duration = Duration::from_secs(10);
-/// A servo thread that has saved nothing for so long is gone.
+/// After this time without a new copy the servo thread counts as gone.
 const GONE: Duration = Duration::from_secs(60);
 
 /// From where to where.
@@ -57,8 +57,17 @@ pub fn run(args: &Keep) -> Result<Outcome> {
         let ends = is_gone || stop.load(Ordering::Relaxed) || changed.elapsed() > GONE;
         let is_due = on_disk.is_none() || written.elapsed() >= WRITE || ends;
         if let Some(copies) = last.filter(|_| is_due && last != on_disk) {
-            output::write_whole(&args.file, &[], |out| out.write_all(copies.as_flattened()))?;
-            (on_disk, written) = (last, Instant::now());
+            let done =
+                output::write_whole(&args.file, &[], |out| out.write_all(copies.as_flattened()));
+            written = Instant::now();
+            match done {
+                Ok(()) => on_disk = last,
+                // A disk that is full for a while costs the heat of that while.
+                Err(error) if on_disk.is_some() && !ends => {
+                    trueup_output::diagnostic(format_args!("the heat is written later: {error:#}"));
+                }
+                Err(error) => return Err(error),
+            }
         }
         if ends {
             return Ok(Outcome::Done);

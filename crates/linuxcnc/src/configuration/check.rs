@@ -13,6 +13,8 @@ use crate::ini::Ini;
 
 /// Servo periods that are supported, in ns.
 const PERIODS_NS: std::ops::RangeInclusive<f64> = 0.5e6..=4e6;
+/// Without a board a servo period may differ by this from one that is supported, in ns.
+const ROUNDED_NS: f64 = 1e3;
 /// `OFFSET_AV_RATIO` may be so large.
 const MAX_RATIO: f64 = 0.9;
 const AXES: [&str; 3] = ["X", "Y", "Z"];
@@ -150,6 +152,20 @@ fn servo_period(ini: &IniLines, base: &Ini, report: &mut Report) {
                 us * 1e3
             ),
             "set it to 500000, 1000000, 2000000 or 4000000",
+        ));
+    }
+    let thread = ini.number("EMCMOT", "BASE_PERIOD").ok().flatten();
+    let Some((thread_ns, place)) = thread.filter(|(ns, _)| *ns > 0.0) else { return };
+    let period_ns = base.cycle_s * 1e9;
+    let made_ns = (period_ns / thread_ns).round().max(1.0) * thread_ns;
+    if (made_ns - period_ns).abs() > ROUNDED_NS {
+        report.findings.push(Finding::warning(
+            place,
+            format!(
+                "[EMCMOT]BASE_PERIOD = {thread_ns} ns: with a base thread LinuxCNC makes the servo period a multiple of it, \
+                 {made_ns} ns, and without a board that is refused: the feed is held"
+            ),
+            "set it to a divisor of SERVO_PERIOD, such as 25000",
         ));
     }
 }

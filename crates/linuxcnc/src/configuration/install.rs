@@ -56,7 +56,13 @@ pub fn setup(
             "take [TRUEUP] and its HALFILE lines out first, or go on by hand",
         ));
     }
-    for (what, text) in [("port", bridge.port.as_ref()), ("path", bridge.machine.as_ref())] {
+    let has_file = demand.no_board.is_some();
+    let calibration = has_file.then(|| whole_path(ini, CALIBRATION).display().to_string());
+    for (what, text) in [
+        ("port", bridge.port.as_ref()),
+        ("path", bridge.machine.as_ref()),
+        ("path", calibration.as_ref()),
+    ] {
         if let Some(text) = text.filter(|text| text.contains(char::is_whitespace)) {
             report.findings.push(Finding::error(
                 Location::start_of(ini.path()),
@@ -139,7 +145,7 @@ fn whole_path(ini: &IniLines, name: &str) -> PathBuf {
     std::fs::canonicalize(folder).unwrap_or_else(|_| folder.to_path_buf()).join(name)
 }
 
-/// Returns the change of the calibration's file, if it has to change. What is no calibration belongs to somebody else.
+/// Returns the change of the calibration's file, if it has to change. A file that is no calibration is not ours.
 fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
     let path = whole_path(ini, CALIBRATION);
     let before = if is_file(&path) { Some(bounded::read(&path, MOST_BYTES)?) } else { None };

@@ -24,7 +24,7 @@ pub(super) struct NamedInput {
     pub example: &'static str,
 }
 
-/// What the component needs of the machine file.
+/// Settings and inputs of the component, from the machine file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NoBoard {
     /// The calibration.

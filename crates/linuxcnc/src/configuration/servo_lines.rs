@@ -33,7 +33,7 @@ use crate::ini::Ini;
 pub const MODULE: &str = "trueup_node";
 /// Its function.
 pub const FUNCTION: &str = "trueup.0";
-/// Temperatures of a program whose heartbeat stands for so long are missing.
+/// After this time without a heartbeat the temperatures of a program count as missing.
 const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;
 /// Signals that are connected where they are, and missed nowhere.

@@ -46,6 +46,8 @@ const LOWER: [&str; 3] = ["x", "y", "z"];
 /// The instance of `moveoff`; its channels are the joints of X, Y and Z in the order of their numbers.
 pub const LIMITER: &str = "trueup-mv";
 const ALIVE: &str = "trueup-alive";
+/// Where a message of the program has more.
+const LOG_HINT: &str = " (trueup.log)";
 const MESSAGES: [(&str, &str, &str, bool); 4] = [
     (
         "trueup-no-offsets",
@@ -157,7 +159,7 @@ impl Writer<'_> {
             Entry::Eoffset => {}
         }
         self.watchdog(&mut text, &thread);
-        self.messages(&mut text, &thread);
+        self.messages(&mut text, &thread, demand);
         text
     }
 
@@ -314,19 +316,20 @@ impl Writer<'_> {
     }
 
     /// Tells the operator, on whatever screen there is. A module that the user has loaded is left to the user.
-    fn messages(&self, text: &mut String, thread: &str) {
+    fn messages(&self, text: &mut String, thread: &str, demand: &Demand) {
         if self.hal.loads("message").is_some() {
             return;
         }
         let list = |of: fn(&(&'static str, &'static str, &'static str, bool)) -> &'static str| {
             MESSAGES.iter().map(of).collect::<Vec<_>>().join(",")
         };
-        let _ = writeln!(
-            text,
-            "\nloadrt message names={} messages=\"{}\"",
-            list(|it| it.0),
-            list(|it| it.2)
-        );
+        let mut messages = list(|it| it.2);
+        if demand.no_board.is_some() {
+            // The realtime component has no log of its own.
+            messages = messages.replace(LOG_HINT, "");
+        }
+        let _ =
+            writeln!(text, "\nloadrt message names={} messages=\"{messages}\"", list(|it| it.0));
         for (name, signal, _, edge) in MESSAGES {
             let edge = if edge { "TRUE" } else { "FALSE" };
             let _ = write!(
