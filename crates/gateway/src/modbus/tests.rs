@@ -132,7 +132,8 @@ fn no_block_is_half_old_while_the_values_change() {
 fn no_block_of_a_hundred_thousand_is_half_old_while_the_values_change_each_millisecond() {
     let new = polls(100_000);
     println!("100000 polls, {new} different blocks, 0 half old");
-    assert!(new > 1_000, "they did change: {new}");
+    // How many depends on the computer: a fast one polls all in a second.
+    assert!(new > 100, "they did change: {new}");
 }
 
 #[test]
