@@ -46,12 +46,13 @@ td,th{padding:.2rem .8rem .2rem 0;text-align:right;vertical-align:top;border-bot
 overflow-wrap:normal}@media(max-width:600px){td,th{padding:.15rem .25rem .15rem 0;font-size:.66rem}}\
 pre{font-size:.8rem;white-space:pre;overflow-x:auto}summary{cursor:pointer;margin:.8rem 0}\
 .left td,.left th{text-align:left}td:first-child,th:first-child,td.text{text-align:left}\
-@page{size:A4;margin:15mm}\
+@page{size:A4;margin:12mm 15mm}\
 @media print{:root{--ink:#000;--soft:#444;--paper:#fff;--card:#f2f2f2;--rule:#bbb;--before:#a04010;\
 --after:#104a90;--measured:#555;--truth:#1b5e20;--good:#1b5e20;--open:#8a5200;--bad:#a01010}\
-body{max-width:none;padding:0;font-size:10pt}pre{white-space:pre-wrap}figure{max-width:11cm}\
+body{max-width:none;padding:0;font-size:9pt;line-height:1.3}pre{white-space:pre-wrap}figure{max-width:10cm}\
+.card{padding:.3rem .8rem;margin:.4rem 0}.card h2,h2{font-size:1.1rem}p{margin:.2rem 0}td,th{padding-block:.16rem}\
 .figures{margin:.3rem 0;gap:.3rem 1.5rem}.figures b{font-size:1.2rem}h1{font-size:1.3rem;margin:.2rem 0}\
-h2{margin:.8rem 0 .3rem}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
+h2{margin:.6rem 0 .2rem}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
 .grid{grid-template-columns:1fr 1fr}*{print-color-adjust:exact}}";
 
 /// What stands before the lines to be typed next.

@@ -53,8 +53,6 @@ pub struct Known {
     pub size: f64,
     /// Half of the 95 % interval of the value; of a function its root mean square over the travel.
     pub half_width: f64,
-    /// Whether the interval excludes zero somewhere.
-    pub is_there: bool,
     /// Of a function the position in mm, the value there, and half of its 95 % interval.
     pub curve: Vec<[f64; 3]>,
     /// The names of errors and unknowns that look the same.
@@ -152,7 +150,6 @@ pub fn known(
             open,
             size,
             half_width: HALF_WIDTH * square.sqrt(),
-            is_there: at.iter().any(|[mean, sd]| mean.abs() > HALF_WIDTH * sd),
             curve,
             confused_with,
             next_test: String::new(),
