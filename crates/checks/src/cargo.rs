@@ -48,6 +48,8 @@ fn installed(name: &str, version: &str, options: &[&str]) -> Result<PathBuf> {
         install.args(["--force", name, "--version", version]).args(options);
         install.arg("--root").arg(&folder);
         install.arg("--target-dir").arg(folder.join("build"));
+        // Nothing of it is debugged here.
+        install.env("CARGO_PROFILE_DEV_DEBUG", "0");
         process::run(&mut install)?;
         std::fs::remove_dir_all(folder.join("build"))?;
     }
