@@ -28,7 +28,7 @@ use trueup_emulator::{
     board::VirtualBoard,
     firmware::{self, Board},
     front_end::FrontEnd,
-    setup,
+    process, setup,
 };
 use trueup_link::{
     frames::{self, State},
@@ -155,7 +155,7 @@ fn a_file_that_is_not_there_is_named() -> Result<()> {
 #[test]
 fn the_command_takes_its_options_as_the_documentation_writes_them() -> Result<()> {
     for dashes in [&["--"][..], &[]] {
-        let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+        let mut command = process::cargo();
         command.arg("virtual").args(dashes).args(["--run", "no/such.csv"]);
         let ended = command.current_dir(setup::root()).output()?;
         let said = String::from_utf8_lossy(&ended.stderr);

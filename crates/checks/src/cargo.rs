@@ -17,7 +17,7 @@ pub fn locked(verb: &str) -> Command {
 
 /// `cargo <verb>`, for what knows no lock file.
 pub fn plain(verb: &str) -> Command {
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+    let mut command = process::cargo();
     command.arg(verb).current_dir(setup::root());
     command
 }

@@ -16,9 +16,9 @@ use std::{
     time::Instant,
 };
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
-use trueup_emulator::setup;
+use trueup_emulator::{process, setup};
 
 use crate::{cargo, tally::Tally};
 
@@ -61,7 +61,34 @@ pub fn build() -> Result<Vec<Program>> {
         let name = format!("{package}/{target}");
         is_test.then_some(Program { name, executable, folder })
     });
-    Ok(programs.collect())
+    let programs = programs.collect();
+    check_shared()?;
+    Ok(programs)
+}
+
+/// Builds the tool as tests do that start it: all of it is there already, or a crate of others has other features there.
+fn check_shared() -> Result<()> {
+    let mut command = cargo::locked("build");
+    command.args(["--bin", "trueup", "--message-format", "json"]).args(SELECTION);
+    let messages = process::output(&mut command)?;
+    let again = compiled(&messages);
+    ensure!(
+        again.is_empty(),
+        "compiled twice, for the tests and for the tool: {}; a dev-dependency chooses other features than `cargo build`. \
+         Name it in host-tests/Cargo.toml too (cargo tree -e features)",
+        again.join(", ")
+    );
+    Ok(())
+}
+
+/// Returns the names of what cargo compiled, by its messages.
+fn compiled(messages: &str) -> Vec<String> {
+    let name = |line: &str| {
+        let message: Value = serde_json::from_str(line).ok()?;
+        (message["fresh"].as_bool() == Some(false))
+            .then(|| message["target"]["name"].as_str().unwrap_or_default().to_string())
+    };
+    messages.lines().filter_map(name).collect()
 }
 
 /// Returns the examples in the documentation.
@@ -180,6 +207,14 @@ mod tests {
         assert_eq!(tally.failures, ["x ended before its tests had"]);
         assert!(of_the_failed(&said).contains("ended before"), "{said}");
         Ok(())
+    }
+
+    #[test]
+    fn what_is_compiled_again_is_named() {
+        let messages = "{\"reason\":\"compiler-artifact\",\"fresh\":true,\"target\":{\"name\":\"a\"}}\n\
+                        {\"reason\":\"compiler-artifact\",\"fresh\":false,\"target\":{\"name\":\"b\"}}\n\
+                        {\"reason\":\"build-finished\",\"success\":true}\n";
+        assert_eq!(compiled(messages), ["b"]);
     }
 
     #[test]

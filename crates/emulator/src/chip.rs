@@ -21,7 +21,7 @@ pub const OLDEST: (u32, u32) = (1, 91);
 #[must_use]
 pub fn cargo(verb: &str) -> Command {
     let folder = setup::root().join("crates/chip");
-    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+    let mut command = process::cargo();
     command.arg(verb).current_dir(&folder);
     command.env("CARGO_TARGET_DIR", target());
     command

@@ -84,10 +84,7 @@ pub fn build_measure() -> Result<PathBuf> {
 fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
     let root = setup::root();
     let (mut command, folder) = match setup::toolchain()? {
-        Toolchain::Rustup => {
-            let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
-            (Command::new(cargo), root.join("target"))
-        }
+        Toolchain::Rustup => (process::cargo(), root.join("target")),
         Toolchain::Distribution => {
             let mut command = Command::new("/usr/bin/cargo");
             command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");

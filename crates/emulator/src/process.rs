@@ -7,6 +7,20 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 
+/// Returns the cargo that started this program, without what it has set for this program alone. A build script that reads
+/// such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
+#[must_use]
+pub fn cargo() -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") || text == "OUT_DIR" {
+            command.env_remove(&name);
+        }
+    }
+    command
+}
+
 /// Runs a command to its end, its output on this one's standard error.
 ///
 /// # Errors

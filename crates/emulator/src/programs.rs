@@ -1,14 +1,11 @@
 //! Builds the project's own programs for this computer: the host tool, `xtask`.
 
-use std::{
-    path::PathBuf,
-    process::{Command, Stdio},
-};
+use std::{path::PathBuf, process::Stdio};
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::Value;
 
-use crate::setup;
+use crate::{process, setup};
 
 /// Builds the host tool and gives its path.
 ///
@@ -23,8 +20,7 @@ pub fn trueup() -> Result<PathBuf> {
 /// # Errors
 /// It does not compile.
 pub fn servo_library() -> Result<PathBuf> {
-    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
-    let output = Command::new(cargo)
+    let output = process::cargo()
         .args(["rustc", "--locked", "-p", "trueup-servo", "--lib", "--profile", "servo"])
         .args(["--crate-type", "staticlib", "--message-format", "json-render-diagnostics"])
         .args(["--", "--cfg", "trueup_library"])
@@ -46,8 +42,7 @@ pub fn servo_library() -> Result<PathBuf> {
 /// # Errors
 /// It does not compile.
 pub fn build(package: &str, name: &str) -> Result<PathBuf> {
-    let cargo = std::env::var_os("CARGO").unwrap_or("cargo".into());
-    let output = Command::new(cargo)
+    let output = process::cargo()
         // The features of the tests: another choice would compile everything a second time.
         .args(["build", "--locked", "--features", "trueup-host-tests/emulator", "--bin", name])
         .args(["--message-format", "json-render-diagnostics"])
