@@ -13,7 +13,6 @@ use std::{
     net::{TcpListener, TcpStream},
     os::unix::fs::{PermissionsExt as _, symlink},
     path::{Path, PathBuf},
-    process::Command,
     thread::{self, JoinHandle},
     time::{Duration, Instant, SystemTime},
 };

@@ -37,6 +37,8 @@ const MIN_LEFT: usize = 9;
 const ARC: f64 = std::f64::consts::TAU / 12.0;
 /// Normal quantile of a 95 % interval.
 pub const HALF_WIDTH: f64 = 1.96;
+/// Normal quantile of 95 % on one side.
+const ONE_SIDED: f64 = 1.645;
 
 /// How well an error is known.
 #[derive(Clone, Debug, PartialEq)]
@@ -53,6 +55,8 @@ pub struct Known {
     pub size: f64,
     /// Half of the 95 % interval of the value; of a function its root mean square over the travel.
     pub half_width: f64,
+    /// Whether it is not zero: of a function, whether all its constants together are not, at 95 %.
+    pub is_there: bool,
     /// Of a function the position in mm, the value there, and half of its 95 % interval.
     pub curve: Vec<[f64; 3]>,
     /// The names of errors and unknowns that look the same.
@@ -150,12 +154,27 @@ pub fn known(
             open,
             size,
             half_width: HALF_WIDTH * square.sqrt(),
+            is_there: is_there(found, &own),
             curve,
             confused_with,
             next_test: String::new(),
         }
     });
     judged.collect()
+}
+
+/// Returns whether constants are not all zero, at 95 %: `mᵀ·C⁻¹·m` against χ², so that a function with many places has no more
+/// chances than a number.
+fn is_there(found: &Posterior, own: &[usize]) -> bool {
+    let count = own.len();
+    let mut inner = DMatrix::from_fn(count, count, |i, j| found.covariance[(own[i], own[j])]);
+    (0..count).for_each(|n| inner[(n, n)] = inner[(n, n)] * (1.0 + 1e-9) + 1e-12);
+    let mean = DVector::from_fn(count, |n, _| found.mean[own[n]]);
+    let Some(inner) = inner.cholesky() else { return false };
+    // The quantile by Wilson and Hilferty, 1931: within 3 %.
+    let share = 2.0 / (9.0 * count as f64);
+    let quantile = count as f64 * (1.0 - share + ONE_SIDED * share.sqrt()).powi(3);
+    mean.dot(&inner.solve(&mean)) > quantile
 }
 
 /// Returns which constants move the tip where it was read, with those tools or a longer one.
@@ -290,5 +309,26 @@ fn place(reading: &Reading) -> [i64; 5] {
                 .sum();
             [0, x, y, z, (turned * 10.0).round() as i64]
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_function_of_many_constants_has_no_more_chances_than_a_number() {
+        let found = |mean: &[f64]| Posterior {
+            mean: DVector::from_row_slice(mean),
+            covariance: DMatrix::identity(mean.len(), mean.len()),
+        };
+        // χ² at 95 %: 3.84 of one, 18.3 of ten.
+        assert!(is_there(&found(&[2.0]), &[0]) && !is_there(&found(&[1.9]), &[0]));
+        let mut one_of_ten = [0.0; 10];
+        one_of_ten[4] = 4.2;
+        let all: Vec<usize> = (0..10).collect();
+        assert!(!is_there(&found(&one_of_ten), &all));
+        one_of_ten[4] = 4.4;
+        assert!(is_there(&found(&one_of_ten), &all));
     }
 }
