@@ -9,7 +9,7 @@
 //! Control ────────────────────────────────► engaged? held? ──────────────────┘
 //! ```
 //!
-//! What the offset follows is decided in one place ([`Bridge::tick`]). An input is what the
+//! One place decides which inputs the offset follows ([`Bridge::tick`]). An input is what the
 //! calibration needs: the sensor or another source of the elongation, temperatures, the positions of
 //! those axes that something depends on, the angles of the axes that turn the tool.
 //!
@@ -30,7 +30,7 @@
 //! elongation to another the offset goes on where it was (`sources`).
 //!
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
-//! errors added up, limits. What a position moves is computed when the position is received, the tool
+//! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
 //! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,667
 //! instructions (median; 2,200 where the spindle speed has changed and a part of the heat is
@@ -88,7 +88,7 @@ use crate::{
     window,
 };
 
-/// What the bridge knows of the machine.
+/// The bridge: the calibration, the inputs it requires and the limits of the offsets.
 #[derive(Clone, Debug)]
 pub struct Bridge<'a> {
     calibration: Calibration<'a>,
@@ -97,14 +97,14 @@ pub struct Bridge<'a> {
     largest: [Fine; 3],
 }
 
-/// What one tick brings.
+/// The inputs of one tick.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Input<'a> {
     /// A millisecond of conversions; `None` where none came.
     pub codes: Option<&'a [Code; CODES_PER_TICK]>,
     /// The spindle speed as the board knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
-    /// What the temperature channels deliver; `None` where nothing new came.
+    /// The readings of the temperature channels; `None` where nothing new came.
     pub temperatures: Option<&'a RawTemperatures>,
 }
 
@@ -127,7 +127,7 @@ impl<'a> Bridge<'a> {
 
     /// Takes a valid message of the CNC. It counts from now on, that is from the last tick.
     ///
-    /// What a message moves is computed here and not in every tick: the errors of the axes that
+    /// The effects of a message are computed here and not in every tick: the errors of the axes that
     /// depend on this position, the tool direction. A CNC that stands still sends the same again,
     /// and that costs nothing.
     pub fn hear(&self, state: &mut State, command: Command) {
@@ -295,7 +295,8 @@ impl<'a> Bridge<'a> {
         }
     }
 
-    /// What there is to do in one of the first milliseconds of each 100.
+    /// Does the work of one of the first milliseconds of each 100: a temperature channel, the shift of a source, or a
+    /// part of the heat.
     #[inline(never)]
     fn heat_step(&self, state: &mut State, phase: usize, speed: Option<Rpm>) {
         let Some(item) = phase.checked_sub(CHANNELS) else {
@@ -385,7 +386,7 @@ impl<'a> Bridge<'a> {
     }
 
     /// Returns whether an input of the board itself is broken for which there is no other, or what it would
-    /// follow is not known. What has only not come yet is not broken.
+    /// follow is not known. An input that has only not come yet is not broken.
     fn is_faulty(&self, state: &State, chosen: SelectedSource) -> bool {
         let lacks_heat = || {
             state.heat.is_unknown()
@@ -414,7 +415,7 @@ impl<'a> Bridge<'a> {
         sums
     }
 
-    /// What the errors depend on has changed. Before they are first asked for nothing is kept.
+    /// Applies a change in an input of the errors to the cached ones. Before they are first asked for nothing is kept.
     #[inline]
     fn update(&self, state: &mut State, change: impl FnOnce(&mut CachedErrors, &Heat, &Place)) {
         if let Some((errors, sums)) = &mut state.axes {

@@ -1,4 +1,4 @@
-//! What the user writes, built once by the host into what the board runs.
+//! The calibration: built once by the host from the user's machine file, and run by the board.
 //!
 //! Scalars are values; tables are slices of the blob that the board was given, read in place.
 
@@ -24,13 +24,13 @@ use crate::{
 /// Everything that a tick needs to know about the machine; it never changes while the board runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration<'a> {
-    /// What is connected to each temperature channel.
+    /// The thermometer on each temperature channel.
     pub thermometers: [Option<Thermometer>; CHANNELS],
     /// How the spindle grows.
     pub spindle: SpindleModel<'a>,
     /// From the spindle nose to the tool tip, and the axes that turn it.
     pub kinematics: Kinematics,
-    /// What belongs to X, Y and Z alone.
+    /// The models of X, Y and Z alone.
     pub axes: [AxisModel<'a>; 3],
     /// Straightness, in the order of [`AXIS_PAIRS`].
     pub straightness: [Curve<'a>; 6],
@@ -38,19 +38,19 @@ pub struct Calibration<'a> {
     pub squareness: [Gradient; 6],
     /// Angular and location errors, with the chain of the axes; `None` where none is known.
     pub volume: Option<Volume<'a>>,
-    /// What a diagnosis has added; those that are there come first.
+    /// The terms that a diagnosis has added; those that are there come first.
     pub terms: Terms<'a>,
     /// How far and how fast an offset may go, and how long silence is tolerated.
     pub limits: Limits,
     /// Thermometers that agree within this belong to a machine that has no heat of its own.
     pub cold_within: Temperature,
-    /// What its inputs are guarded by.
+    /// The guards of the inputs and of the calibration.
     pub guards: Guards,
     /// The machine and the board that it is for.
     pub names: Names<'a>,
 }
 
-/// What the inputs of a calibration, and the calibration itself, are guarded by.
+/// The guards of a calibration's inputs and of the calibration itself.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Guards {
     /// How fast each temperature channel may change, in tenths of a kelvin a minute, up to
@@ -76,7 +76,7 @@ pub enum Mains {
 /// The machine and the board that a calibration is for, as the user names them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Names<'a> {
-    /// The machine's name, in UTF-8; empty: nobody has named it.
+    /// The machine's name, in UTF-8; empty: none was given.
     pub machine: &'a [u8],
     /// The machine's serial number, in UTF-8; empty: none was given.
     pub serial: &'a [u8],
@@ -167,7 +167,7 @@ impl SpindleWarmup<'_> {
     }
 }
 
-/// What belongs to one linear axis alone.
+/// The models of one linear axis alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AxisModel<'a> {
     /// Its expansion.

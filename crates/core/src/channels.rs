@@ -9,7 +9,7 @@ use crate::{
     units::Temperature,
 };
 
-/// What every channel of a board delivers at one time.
+/// The raw readings of all channels of a board at one time.
 pub type RawTemperatures = [Raw; CHANNELS];
 
 /// From one reading to the next no thermometer moves by more: its element follows what it touches with a

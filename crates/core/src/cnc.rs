@@ -1,4 +1,4 @@
-//! What the bridge and the CNC say to each other, apart from how it looks on the wire.
+//! The messages between the bridge and the CNC, apart from how they look on the wire.
 
 use crate::{
     learned::Change,
@@ -10,7 +10,7 @@ use crate::{
 pub enum Command {
     /// The CNC's sign of life, and what it allows the bridge to do.
     Control(Control),
-    /// What the spindle does.
+    /// Speed and load of the spindle.
     Spindle(Spindle),
     /// Where a linear axis is sent.
     Position(AxisPosition),
@@ -34,7 +34,7 @@ pub struct Control {
     /// The operator answers the question that the bridge asks, at the moment this turns from false
     /// to true.
     pub confirm: bool,
-    /// What was learned of a part of the correction.
+    /// A learned change of a part of the correction.
     pub learned: Change,
 }
 
@@ -52,7 +52,7 @@ impl Control {
     pub const REFERENCED: Self = Self { engage: false, ..Self::ENGAGED };
 }
 
-/// What the spindle does.
+/// Speed and load of the spindle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Spindle {
     /// Speed in r/min, 0…65 535, whichever way it turns.
@@ -222,10 +222,10 @@ impl Flags {
     }
 }
 
-/// What one tick gives the CNC.
+/// The output of one tick to the CNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Output {
-    /// What the CNC adds to its command on X, Y and Z; `None`: not available.
+    /// The offset that the CNC adds to its command on X, Y and Z; `None`: not available.
     pub offset: Option<[Nanometres; 3]>,
     /// How good it is.
     pub quality: Quality,

@@ -1,6 +1,6 @@
 //! How many and how often: the numbers that the board, its calibration and its frames are built for.
 //!
-//! They stand below everything else, so that whoever needs one of them needs nothing more.
+//! They stand below everything else, so that a module that needs one of them needs nothing more.
 
 /// Temperature channels of a board.
 pub const CHANNELS: usize = 8;

@@ -12,8 +12,8 @@
 //! A step arrives after two revolutions; the delay is one revolution and half a tick. Below 300 r/min it is 200 ms: in the
 //! millisecond of a stop the reading goes back to what it was 100 ms before, and 200 ms later it is 200 ms behind. A spindle
 //! that loses 5.8 µm of centrifugal growth in its last second is reported 0.6 µm too long, for 0.4 s. A
-//! shorter window would not see a whole revolution of a spindle that still turns, and let its run-out through. What is
-//! above 10 kHz at the ADC's pin no digital filter can tell from growth: that is the task of the
+//! shorter window would not see a whole revolution of a spindle that still turns, and let its run-out through. No
+//! digital filter can distinguish from growth what is above 10 kHz at the ADC's pin: that is the task of the
 //! two-pole analogue filter before it.
 
 use crate::{

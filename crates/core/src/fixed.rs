@@ -138,7 +138,7 @@ pub const fn rounded_shift_word(value: i32, shift: u32) -> i32 {
 
 /// Returns the nearest number of 32 bits.
 ///
-/// One that fits is told by its high word, which then repeats the sign of the low one: 3
+/// A number that fits is recognised by its high word, which then repeats the sign of the low one: 3
 /// instructions, where two comparisons of 64 bits are 10.
 ///
 /// ```

@@ -1,4 +1,4 @@
-//! What is wrong at a place: the errors of the axes where the machine stands, in space.
+//! The errors of the axes at a place, where the machine stands, in space.
 //!
 //! ```text
 //! thermal      K₀ + tanβ·(P − P₀)                          along the axis itself
@@ -33,7 +33,7 @@ pub struct AxisError {
     pub positioning: Fine,
     /// Straightness of the two other axes, squareness to them, and what [`volume`](crate::volume) adds.
     pub guides: Fine,
-    /// What a diagnosis has added.
+    /// The terms that a diagnosis has added.
     pub terms: Fine,
 }
 
@@ -86,7 +86,7 @@ impl Errors {
 /// The errors at a place, cached from message to message: what an axis that moves or a thermometer
 /// does not change is not computed again.
 ///
-/// What depends on one axis costs 554 instructions on the gantry of `data/`, with two or three
+/// The parts that depend on one axis cost 554 instructions on the gantry of `data/`, with two or three
 /// curves and tables (`cargo measure`).
 #[derive(Clone, Debug, Default)]
 pub struct CachedErrors {
@@ -96,7 +96,7 @@ pub struct CachedErrors {
     volume: CachedVolume,
 }
 
-/// What a guide adds to the error across it.
+/// The contribution of a guide to the error across it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Guide {
     straightness: Fine,

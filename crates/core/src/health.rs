@@ -14,7 +14,7 @@
 //!   codes² a block, noise of half a code has 40.
 //! - **Wild**: a code farther from the last good one than anything on a machine moves in 50 µs ([`REACH`]). Up to three are a
 //!   spike, and the last good code stands in for them. Four that follow from each other are another level: that is
-//!   believed, because it may be true, and told for 100 ms ([`Health::has_jumped`]). Codes that follow from nothing
+//!   believed, because it may be true, and reported for 100 ms ([`Health::has_jumped`]). Codes that follow from nothing
 //!   are no sensor's: twenty of them, and more than a fifth of all, are a fault until 10 ms are good.
 //!   It is looked for only in a block whose second differences stand out of those before; a step before the analogue
 //!   low-pass of 2 kHz does from some 30 µm on, and one below is as smooth as a machine that shakes.
@@ -75,7 +75,7 @@ const MEAN_BITS: u32 = 6;
 /// Twice what any run-out without noise leaves, as [`Health::liveliness`] has it.
 const LIVELY_BY_NOISE: u32 = 40 << MEAN_BITS;
 
-/// What is remembered from block to block.
+/// The state of the check from block to block.
 #[derive(Clone, Debug)]
 pub struct Health {
     good: Code,
@@ -329,7 +329,7 @@ fn ordinary_squares(before: [Code; 2], codes: &[Code; CODES_PER_TICK]) -> Option
 #[allow(clippy::cast_possible_truncation, reason = "20")]
 const BLOCK: u16 = CODES_PER_TICK as u16;
 
-/// Returns whether a code tells a broken wire or a short: one comparison for both rails.
+/// Returns whether a code means a broken wire or a short: one comparison for both rails.
 #[inline]
 fn is_at_rail(code: Code) -> bool {
     const LOWEST: u32 = LOW_RAIL.0 as u32 + 1;

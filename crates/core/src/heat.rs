@@ -1,4 +1,4 @@
-//! What the machine's temperatures and its running time make of it: a slow part of the bridge.
+//! The effects of the machine's temperatures and its running time: a slow part of the bridge.
 //!
 //! Heat is slow, so this steps every 100 ms ([`STEP_MS`](crate::dimensions::STEP_MS)) and keeps what
 //! the fast tick needs: K₀ and tanβ of each axis, and the elongation of the spindle by temperature
@@ -29,7 +29,7 @@ pub const SPINDLE: usize = 3;
 /// The item of the first term.
 pub const FIRST_TERM: usize = 5;
 
-/// What an axis has become by its temperature.
+/// The expansion of an axis by its temperature.
 #[derive(Clone, Copy, Debug, Default)]
 struct AxisHeat {
     lag: Option<Lag>,
@@ -56,7 +56,7 @@ pub struct Heat {
     pub learned: Learned,
 }
 
-/// What may be left of an error of heat that is not known: 1 µm.
+/// The remainder of an error of heat at which the heat counts as known: 1 µm.
 const LEFT_NM: i64 = 1_000;
 
 /// Returns whether these are at least two thermometers, all of which agree within `within`. One that is

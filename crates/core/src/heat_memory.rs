@@ -17,7 +17,7 @@ use crate::{
 /// Lags of a calibration at most: three axes, the spindle, its running time, the terms.
 pub const MOST_LAGS: usize = 5 + MAX_TERMS;
 
-/// What a lag follows, and how fast.
+/// The input of a lag, and its time constants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key {
     /// A temperature channel, 0…7, or one of the numbers below.
@@ -55,7 +55,7 @@ impl Key {
 pub struct KeptLag {
     /// Which.
     pub key: Key,
-    /// What it has reached.
+    /// The value it has reached.
     pub lag: Lag,
     /// How long the spindle has run, for [`Key::RUNNING`]; else 0.
     pub running_ms: u32,
@@ -70,8 +70,8 @@ pub struct HeatMemory {
 
 impl KeptLag {
     /// Returns the same after this many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle
-    /// stood, and what had grown since the start went back as fast. What follows a temperature makes up for them with
-    /// the first that it sees. The same at once after none: a reset is no stop.
+    /// stood, and what had grown since the start went back as fast. A lag of a temperature makes up for them with
+    /// the first reading that it sees. The same at once after none: a reset is no stop.
     #[must_use]
     #[inline(never)]
     pub fn after(mut self, steps: u32) -> Self {

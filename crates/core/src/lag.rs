@@ -82,7 +82,7 @@ impl Lag {
         }
     }
 
-    /// This many steps pass in which its input is not seen. What it sees next counts for them.
+    /// Counts this many steps in which the input is not seen. The next input counts for them.
     ///
     /// ```
     /// use trueup_core::lag::{Lag, SmoothingFactor};
@@ -257,7 +257,7 @@ mod tests {
         );
     }
 
-    /// The thermometer falls by 20 K with 1200 s while nobody sees it, the part lags by 1630 s.
+    /// The thermometer falls by 20 K with 1200 s while it is not read, the part lags by 1630 s.
     #[test]
     fn what_an_unseen_temperature_did_is_missed_by_as_much_as_the_page_says_and_never_by_more() {
         let (fall_k, tau_s, source_s, time_s) = (20.0, 1_630.0, 1_200.0, 3_600.0_f64);

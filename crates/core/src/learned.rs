@@ -1,4 +1,4 @@
-//! What was learned since the calibration was made: small changes of its parts, in RAM, on their way.
+//! Changes learned since the calibration was made: small changes of its parts, in RAM, on their way.
 //!
 //! A machine ages by its amplitudes: how much it grows for what its sensor, its thermometers and its clock
 //! say. So a change is a share by which a part is more than the calibration says, and for the growth of the
@@ -14,9 +14,9 @@
 //! The units are 10⁻⁵ and 1 nm. So a change never steps: 80 µm of growth move by 0.8 nm in 100 ms, 500 µm by
 //! 5 nm, both below the 10 nm of the wire; the slew limit holds as ever. And a frame of a stranger
 //! that has guessed the counter moves no more than one unit before the master's next takes it back. Beyond its [caps](Caps),
-//! which the calibration states, nothing is taken; they are 0 unless somebody has written them.
+//! which the calibration states, nothing is taken; they are 0 unless the user has written them.
 //!
-//! It starts at nothing and is lost with the RAM: whoever has learned it says it again.
+//! It starts at nothing and is lost with the RAM: the sender that has learned it says it again.
 //!
 //! a·x is x times a·42 950 in Q32, which is a to 8·10⁻⁶ of itself: 1 nm of 500 µm at 25 %.
 
@@ -32,7 +32,7 @@ pub const ZERO: usize = 4;
 /// 10⁻⁵ in Q32.
 const UNIT_Q32: i32 = 42_950;
 
-/// What is asked for.
+/// A requested change of a part of the correction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Change {
     /// Which part, 1…5 in the order of [`PARTS`]; 0: nothing is asked for.
@@ -77,7 +77,7 @@ impl Caps {
     }
 }
 
-/// What is asked for, and how far it has come.
+/// The requested changes, and how far each has come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Learned {
     goal: [i16; PARTS],

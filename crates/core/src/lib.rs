@@ -1,4 +1,4 @@
-//! What the trueup bridge computes, in integers, on any machine.
+//! The computations of the trueup bridge, in integers, on any machine.
 //!
 //! ```text
 //! bridge = health ─► filter (window, revolution_mean) ─► sensor ─► tool ─► limits
@@ -32,7 +32,7 @@
 //! | m | coefficient of a term | mantissa/2^shift ([`fixed::Scaled`]) | | [`term`] | |
 //!
 //! Reference: the error that counts as zero, taken when the operator asks for it
-//! ([`bridge::Reference`]). Source: what tells the elongation ([`calibration::ElongationSource`]).
+//! ([`bridge::Reference`]). Source: gives the elongation ([`calibration::ElongationSource`]).
 //! Quality, flags: how good an offset is, and why it is not the full correction ([`cnc`]).
 //!
 //! Configuration ([`calibration`]) and state ([`bridge::State`]) are apart, time is an argument,

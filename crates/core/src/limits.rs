@@ -43,7 +43,7 @@ struct Reach {
     rest: i32,
 }
 
-/// What limited a step towards a target.
+/// The limits that acted on a step towards a target.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LimitStatus {
     /// A target lay beyond the largest permitted offset.

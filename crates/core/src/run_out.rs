@@ -37,12 +37,12 @@ const CUTTING: u32 = 41 * 41 / 2 * 256;
 /// This many means in a row have to be odd.
 const ODD_WINDOWS: u8 = 2;
 
-/// What was seen of the run-out at the present speed.
+/// The run-out seen at the present speed.
 #[derive(Clone, Debug, Default)]
 pub struct RunOut {
     /// 0: it does not turn.
     speed: Rpm,
-    /// What says which code is looked at, drawn anew each time.
+    /// The random number that selects the code looked at, drawn anew each time.
     drawn: u32,
     /// Of d in 1/16 codes.
     squares: u64,

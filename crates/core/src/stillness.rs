@@ -24,7 +24,7 @@ const LIVELY: u16 = MOST - STILL_READINGS - 100;
 /// One that has changed within 2 s is going.
 const GOING_READINGS: u16 = 20;
 
-/// What is remembered of a thermometer's last readings.
+/// The state of the check for a frozen thermometer.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Stillness {
     last: Option<Temperature>,

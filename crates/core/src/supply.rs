@@ -72,7 +72,7 @@ impl Scale {
     }
 }
 
-/// What is known of the supply.
+/// The level of the supply, and its basis.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Supply {
     /// The mean in 1/65536 codes.

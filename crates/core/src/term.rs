@@ -1,4 +1,5 @@
-//! What a diagnosis has added to the machine's model: up to [`MAX_TERMS`](crate::dimensions::MAX_TERMS) terms, in their order.
+//! The terms that a diagnosis has added to the machine's model: up to
+//! [`MAX_TERMS`](crate::dimensions::MAX_TERMS), in their order.
 //!
 //! A term of the elongation gives p a new value; one of an axis adds to its error:
 //!

@@ -1,4 +1,4 @@
-//! What tests share: numbers that look drawn, always the same for a seed, and a machine to begin with.
+//! Shared parts of the tests: numbers that look drawn, always the same for a seed, and a machine to begin with.
 
 use crate::{
     calibration::{Calibration, Names},

@@ -69,7 +69,7 @@ impl RateLimit {
     }
 }
 
-/// What is remembered of a channel's changes.
+/// The state of the check of a channel's rate of change.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RateMonitor {
     /// Where the mass was when it was last believed.

@@ -1,4 +1,4 @@
-//! What a temperature channel delivers, and the temperature it means.
+//! The raw reading of a temperature channel, and the temperature it means.
 //!
 //! A PT100 delivers micro-ohms ([`pt100`]), a linear chain 1/256 counts (Q8):
 //!
@@ -20,7 +20,7 @@ use crate::{
 /// A channel is given up after this many bad readings in a row, 100 ms apart.
 pub const FAULT_AFTER_READINGS: u8 = 4;
 
-/// What a temperature channel delivers: micro-ohms of a PT100, 1/256 counts of a linear chain.
+/// A raw reading of a temperature channel: micro-ohms of a PT100, 1/256 counts of a linear chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Raw(pub i32);
 

@@ -130,7 +130,7 @@ impl Interval {
     }
 }
 
-/// What a reversal of this axis takes.
+/// The distances that a reversal of this axis takes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Config {
     /// How far back a position must lie before the reversal counts, in position units.

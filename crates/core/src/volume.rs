@@ -163,7 +163,7 @@ pub struct AngularErrors<'a> {
 /// A rotary axis, with the errors of where its line is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct RotaryLocation {
-    /// What it turns about.
+    /// The axis that it turns about: A, B or C.
     pub axis: RotaryAxis,
     /// Whether it turns the workpiece.
     pub moves_workpiece: bool,
@@ -188,7 +188,7 @@ impl RotaryLocation {
     }
 }
 
-/// What is known of the whole volume: the chain of the axes, their angular and location errors, the tool.
+/// The model of the whole volume: the chain of the axes, their angular and location errors, the tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Volume<'a> {
     /// The linear axes.
@@ -285,7 +285,7 @@ pub struct CachedVolume {
     of_tool: Vector,
     /// Shift at machine zero, and tilt.
     of_table: (Vector, [Fine; 3]),
-    /// What the angles of X, Y and Z make.
+    /// The error by the angles of X, Y and Z.
     of_guides: [Vector; 3],
     errors: Vector,
 }

@@ -1,4 +1,4 @@
-//! What holds for the bridge whatever is fed to it: any codes, temperatures, commands and steps of
+//! Properties of the bridge that hold whatever is fed to it: any codes, temperatures, commands and steps of
 //! time, any calibration, also one that no machine file gives.
 //!
 //! The steps run with overflow checks, so that a sum that wraps unintended fails here as well.

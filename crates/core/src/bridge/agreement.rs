@@ -12,12 +12,12 @@ pub const LEAST_NM: u32 = 15_000;
 /// A minute, in steps of the heat: what lags by less is no fault of a calibration.
 pub const LASTS_STEPS: u16 = 600;
 
-/// What the sources said at a step of the heat.
+/// The elongation by the sources at a step of the heat.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Past {
     /// The elongation that was reported.
     pub elongation: Nanometres,
-    /// What each source by itself would have said, in the order of [`ElongationSource::ALL`]; `None`: nothing.
+    /// The elongation by each source on its own, in the order of [`ElongationSource::ALL`]; `None`: not available.
     pub raw: [Option<Nanometres>; 3],
 }
 

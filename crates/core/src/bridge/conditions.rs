@@ -9,7 +9,7 @@
 //!             ▲─────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! They come rarely, so they may be four times as old as `Control`. What changes goes through the slew limit.
+//! They come rarely, so they may be four times as old as `Control`. Changes go through the slew limit.
 
 use super::{Bridge, State, state::HeardConditions};
 use crate::cnc::Conditions;

@@ -25,8 +25,8 @@ impl SelectedSource {
     }
 }
 
-/// What is reported once in a step of the heat, this many steps ago at most: a sensor that freezes is found
-/// after 200 ms, and what it said meanwhile is not what the next source goes on from.
+/// Number of past heat steps kept, one report each: a sensor that freezes is found
+/// after 200 ms, and the next source does not go on from what it said meanwhile.
 pub(super) const BEFORE_STEPS: usize = 4;
 
 /// The source in use, and how it joins the one before.
@@ -35,9 +35,9 @@ pub(super) struct Joint {
     pub selected: SelectedSource,
     /// The last one that was used.
     pub last: Option<ElongationSource>,
-    /// What is added to what it says.
+    /// The shift added to the elongation by the selected source.
     pub shift: Nanometres,
-    /// What of the way back is less than a nanometre, in picometres: 0…999.
+    /// The part of the way back below a nanometre, in picometres: 0…999.
     pub rest: u32,
     /// An offset was followed, or the first source was there: from then on the elongation goes on.
     pub is_anchored: bool,
@@ -53,11 +53,11 @@ pub(super) struct Joint {
     pub agreement: Agreement,
 }
 
-/// What of it outlasts a reset.
+/// The part of a joint that outlasts a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KeptJoint {
     /// The source that was used last.
     pub source: ElongationSource,
-    /// What was added to what it says.
+    /// The shift added to its elongation.
     pub shift: Nanometres,
 }

@@ -11,7 +11,7 @@ use crate::{
     units::Fine,
 };
 
-/// What has to be there, found out once and not in every tick.
+/// The required inputs, found out once and not in every tick.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct RequiredInputs {
     /// How old the position of an axis may be, in milliseconds; for ever where nothing depends on

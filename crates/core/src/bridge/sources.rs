@@ -2,8 +2,9 @@
 //!
 //! Each source has a zero of its own: a sensor's is where it was mounted, a model's where it was
 //! fitted, and they disagree by micrometres. So a source that takes over is shifted by what makes
-//! the elongation go on where it was: it tells how the spindle grows from there. Back on the first
-//! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and told as an offset on its way. A source
+//! the elongation go on where it was: from there the spindle grows as this source says. Back on the first
+//! source the shift is taken back at `rejoin_nm_per_s` of the [limits](crate::limits::Limits), and reported
+//! as an offset on its way. A source
 //! that returns is asked again only once it has been fresh for [`RETURN_MS`].
 //!
 //! As long as none is used a fall-back waits until the sources before it are dead, which is known
@@ -160,7 +161,7 @@ impl Bridge<'_> {
         }
     }
 
-    /// `Zero` makes the present error the reference: on the first source it counts as that one tells it,
+    /// `Zero` makes the present error the reference: on the first source it counts as that source gives it,
     /// and there is nothing left to take back.
     pub(super) fn join(&self, state: &mut State) {
         if self.is_first(state.joint.selected) {
@@ -259,7 +260,7 @@ impl Bridge<'_> {
             || temperature.is_none_or(|it| state.channels.is_current(it.channel))
     }
 
-    /// Returns whether a source can tell nothing now. What has only not come yet is not dead.
+    /// Returns whether a source has failed and gives nothing. A source that has only not come yet is not dead.
     fn is_dead(&self, state: &State, source: ElongationSource) -> bool {
         let spindle = &self.calibration.spindle;
         match source {

@@ -1,4 +1,4 @@
-//! What the bridge remembers from tick to tick.
+//! The state that the bridge keeps from tick to tick.
 
 use super::joint::Joint;
 use crate::{
@@ -42,7 +42,7 @@ pub(super) enum Mode {
     RampOut,
 }
 
-/// What the bridge remembers from tick to tick.
+/// The state of the bridge from tick to tick.
 #[derive(Clone, Debug, Default)]
 pub struct State {
     pub(super) now: Millis,
@@ -158,7 +158,7 @@ impl<T: Copy> Heard<T> {
     }
 }
 
-/// What was learnt of tool and conditions.
+/// The tool and conditions last received, and their age.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct HeardConditions {
     pub last: Option<Conditions>,
@@ -278,7 +278,7 @@ impl State {
         self.health.take_noise()
     }
 
-    /// Returns whether the sensor tells of something that no spindle does: a jump, or another run-out at the same
+    /// Returns whether the sensor shows something that no spindle does: a jump, or another run-out at the same
     /// speed.
     #[must_use]
     pub fn sensor_is_odd(&self) -> bool {

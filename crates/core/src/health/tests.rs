@@ -1,4 +1,4 @@
-//! What the sensor's codes may be, and what they may not.
+//! Codes that the sensor may give, and codes that it may not.
 
 use super::*;
 extern crate std;

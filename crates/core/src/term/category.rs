@@ -8,7 +8,7 @@
 //!
 //! All m of a term share one binary point, that of the largest. They are chosen when the CNC says another tool or
 //! condition, not in the tick, where one product remains. Without `Conditions` from the CNC each term has its stated
-//! default. What a change moves goes through the slew limit, as everything does.
+//! default. The effect of a change goes through the slew limit, as everything does.
 //!
 //! m is below 2³⁰. Worst error against `f64`: half of the last place of m, which is 2⁻³⁰ of the largest m times f, one
 //! more such place while a lag is on its way, and half of 1/256 nm for the product (`category/tests.rs` measures it).
@@ -22,7 +22,7 @@ use crate::{
 /// 1 of what a term over time, or a condition behind its lag, follows.
 pub const UNIT_STEP: i32 = 1 << 30;
 
-/// What a level is multiplied by. The numbers are those of a blob.
+/// The factor that a level is multiplied by. The numbers are those of a blob.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Factor {

@@ -1,4 +1,4 @@
-//! What a term is, and what one that depends on a place adds there.
+//! The parts of a term, and the effect at a place of one that depends on it.
 
 use crate::{
     angle::sine_cosine,
@@ -23,7 +23,7 @@ use crate::{
 /// The terms of a calibration; those that are there come first.
 pub type Terms<'a> = [Option<Term<'a>>; MAX_TERMS];
 
-/// What a term changes.
+/// The quantity that a term changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// The elongation by the first source; another one was not what the term was fitted to.
@@ -35,7 +35,7 @@ pub enum Target {
 /// A term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Term<'a> {
-    /// What it changes.
+    /// The quantity that it changes.
     pub target: Target,
     /// Added as well, in 1/256 nm: an error of the axis, or an elongation.
     pub constant: Fine,
@@ -43,7 +43,7 @@ pub struct Term<'a> {
     pub effect: Effect<'a>,
 }
 
-/// What a term does; the formulas stand at the head of [`term`](crate::term).
+/// The effect of a term; the formulas stand at the head of [`term`](crate::term).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect<'a> {
     /// The constant alone.

@@ -1,4 +1,4 @@
-//! What heat and time have made of the terms that follow them.
+//! The states of the terms that follow heat and time.
 
 use crate::{
     cnc::Conditions,
@@ -44,18 +44,18 @@ const fn shift(effect: &Effect<'_>) -> u8 {
     }
 }
 
-/// What the terms remember: their lags, and what heat and time have made of them.
+/// The memory of the terms: their lags, and the present effects of heat and time.
 #[derive(Clone, Debug, Default)]
 pub struct TermStates {
     lags: [Option<Lag>; MAX_TERMS],
     values: [Fine; MAX_TERMS],
     /// Terms of heat that have had a temperature, or whose heat by the speed is known.
     known: IndexSet,
-    /// What the CNC says, or `None` inside: the defaults hold. Nothing before either is known.
+    /// The conditions by the CNC, or `None` inside: the defaults hold. Nothing before either is known.
     conditions: Option<Option<Conditions>>,
     /// m of the terms by category.
     levels: [i32; MAX_TERMS],
-    /// What those of the elongation add that are not multiplied by its growth, and all their constants.
+    /// The sum of those of the elongation that are not multiplied by its growth, and all their constants.
     by_category: Fine,
     /// m of those that are, the first ones; 0 behind them.
     by_growth: [Scaled; MAX_TERMS],

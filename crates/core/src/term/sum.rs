@@ -1,4 +1,4 @@
-//! What the terms together make of the elongation, and what they add to the errors of the axes.
+//! The effect of all terms together on the elongation and on the errors of the axes.
 
 use crate::{
     fixed::product,
@@ -10,10 +10,10 @@ use crate::{
     units::{Fine, Rpm},
 };
 
-/// What the CNC says of the spindle: the inputs of the terms over speed and load.
+/// Speed and load of the spindle by the CNC: the inputs of the terms over speed and load.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OperatingPoint {
-    /// n in r/min, without a sign; `None` if nobody knows, which counts as 0.
+    /// n in r/min, without a sign; `None`: not known, which counts as 0.
     pub speed: Option<Rpm>,
     /// F, the axial cutting force in 1/256 N (Q8): ±65 536 N; positive pushes the tool back.
     pub load: i32,

@@ -1,4 +1,4 @@
-//! What is kept from message to message, the extremes, and what has to be known.
+//! Tests of the parts cached from message to message, of the extremes, and of the inputs that have to be known.
 
 use super::*;
 use crate::{

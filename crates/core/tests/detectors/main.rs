@@ -179,7 +179,7 @@ struct Detector {
 /// Not at all: the codes are not believed.
 const BY_ITS_CODES: fn(&Health) -> bool = |_| false;
 
-/// What a fault remembers.
+/// The state of a fault.
 struct Fault {
     stuck: Code,
     number: u32,

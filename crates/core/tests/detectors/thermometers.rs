@@ -106,7 +106,7 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
     }
 }
 
-/// Returns a PT100 that a law uses, and whose limit nobody has stated.
+/// Returns the limit of a PT100 that a law uses, where none is stated.
 fn default_limit() -> RateLimit {
     RateLimit::new(DEFAULT_TENTHS, Thermometer::Pt100.step(), IndexSet::default())
 }

@@ -124,7 +124,7 @@ fn law() -> BoxedStrategy<OwnedLaw> {
     prop::collection::vec(piece, 0..3).boxed()
 }
 
-/// What belongs to one axis: its law with channel and smoothing, both tables, numbers for the rest.
+/// The parts of one axis: its law with channel and smoothing, both tables, numbers for the rest.
 #[derive(Clone, Debug)]
 struct OwnedAxis {
     thermal: Option<(u8, u32, OwnedLaw)>,

@@ -1,4 +1,4 @@
-//! A position that its axis cannot have reached: told, not believed, and believed once others follow from it.
+//! A position that its axis cannot have reached: reported, not believed, and believed once others follow from it.
 
 use super::*;
 use crate::testing::random;

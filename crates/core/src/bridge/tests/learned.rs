@@ -1,4 +1,4 @@
-//! What was learned, in the offset: its sign, its way, and the sources that it says nothing of.
+//! Learned changes in the offset: their sign, their way, and the sources that they do not apply to.
 
 use super::*;
 use crate::{

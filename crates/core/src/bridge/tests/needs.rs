@@ -1,4 +1,4 @@
-//! What a calibration cannot be followed without: each input that it needs is missed, and no other.
+//! The inputs without which a calibration cannot be followed: each is missed, and no other.
 
 use super::*;
 use crate::{
