@@ -11,7 +11,7 @@
 //! Least squares is solved row by row: Givens rotations turn each observation into the triangle R
 //! of the design matrix, of which `order` numbers a coefficient are kept. A million rows therefore
 //! need no more memory than ten, and the condition of the problem is not squared as by normal
-//! equations. What is left of a row after the rotations is its share of the residual, so the sum of
+//! equations. The remainder of a row after the rotations is its share of the residual, so the sum of
 //! squares costs nothing.
 //!
 //! Measured against SciPy on random knots (`host-tests/tests/scipy_splines.rs`): values, slopes and

@@ -66,11 +66,11 @@ use crate::report::{SetAside, Spread};
 pub struct CircleReport {
     /// One for each circle, in the order of the planes.
     pub circles: Vec<CircleResult>,
-    /// What a table corrects, as sections of a machine file.
+    /// The corrections by table, as sections of a machine file.
     pub edit: Edit,
     /// Which constants the sections have, a sentence each.
     pub written: Vec<String>,
-    /// What the user should know; whole sentences.
+    /// Warnings for the user; whole sentences.
     pub warnings: Vec<String>,
     /// The answer in one word.
     pub verdict: Verdict,
@@ -91,9 +91,9 @@ pub struct CircleResult {
     pub after: Spread,
     /// The standard deviation of the noise, in µm.
     pub noise_um: f64,
-    /// What the causes leave and noise does not explain, RMS in µm.
+    /// The structure that neither the causes nor noise explain, RMS in µm.
     pub structure_um: Option<f64>,
-    /// What the causes predict for each row, set-up included, in µm.
+    /// The prediction of the causes for each row, set-up included, in µm.
     pub predicted_um: Vec<f64>,
     /// Gross readings.
     pub set_aside: Vec<SetAside>,

@@ -29,7 +29,7 @@ use crate::{
 /// The column that is explained.
 pub(crate) const MEASURED: &str = "measured_elongation_um";
 
-/// What to fit.
+/// Source and column of the fit.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// The sensor or a temperature; `None`: what the machine file's source says, else the sensor
@@ -249,7 +249,7 @@ pub(crate) fn spread_or_bad(
     Ok(())
 }
 
-/// What all fits say of their residuals.
+/// Adds to `report` the figures of the residuals that all fits have.
 pub(crate) fn finish(
     report: &mut Report,
     y: &[f64],

@@ -22,7 +22,7 @@
 
 use std::{error::Error, fmt};
 
-/// What was measured at one target: positioning deviations in µm, actual minus target.
+/// The readings at one target: positioning deviations in µm, actual minus target.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
     /// The target position in mm.
@@ -57,7 +57,7 @@ pub struct TargetFigures {
     pub forward: Option<Approach>,
     /// Arrivals in the negative direction.
     pub reverse: Option<Approach>,
-    /// What needs both directions.
+    /// The figures that need both directions.
     pub both: Option<Reversal>,
 }
 

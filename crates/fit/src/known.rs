@@ -1,4 +1,4 @@
-//! What the machine file says of a run without the section that is to be fitted.
+//! The prediction of the machine file for a run without the section that is to be fitted.
 //!
 //! A measured error is the sum of all parts of the model. Those that are known already must not be
 //! fitted a second time, or the whole would count them twice.
@@ -27,7 +27,7 @@ pub enum Without {
     },
 }
 
-/// What the other sections say.
+/// The prediction of the other sections.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Known {
     /// The error of the axis that is fitted, row by row, in µm.

@@ -56,7 +56,7 @@ pub(crate) struct Fitted {
     linear: Solution,
     pub(crate) residuals: Vec<f64>,
     pub(crate) left_out: Option<Vec<f64>>,
-    /// What to say of the lag.
+    /// A warning about the lag.
     pub(crate) warning: Option<String>,
 }
 

@@ -83,7 +83,7 @@ pub struct Options {
     pub most_points: usize,
     /// Where the axis's position is measured: backlash belongs to the screw.
     pub feedback: Feedback,
-    /// What other sections of the machine file say of each row of the run, in µm: it is taken off
+    /// The prediction of other sections of the machine file for each row of the run, in µm: it is taken off
     /// before the fit. NaN: not known.
     pub known_um: Option<Vec<f64>>,
     /// Which width [`fit_backlash`] takes.
@@ -123,7 +123,7 @@ pub enum Ways {
 /// A fitted table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PitchFit {
-    /// What was found, with what changes in the machine file.
+    /// The result, with the changes in the machine file.
     pub report: Report,
     /// The table; `None` if the axis should not be corrected.
     pub pitch: Option<Pitch>,
@@ -227,7 +227,7 @@ fn check_extent(
     Ok(())
 }
 
-/// What a user may ask for.
+/// The largest number of points that a user may ask for.
 const LARGEST: usize = 4096;
 
 /// Returns the corrections to try, from the simplest on; the first two are none.

@@ -8,7 +8,7 @@ use std::fmt;
 use trueup_machine::{Location, file::write::Edit};
 use trueup_numerics::line::Summary;
 
-/// What a fit has found.
+/// The result of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     /// The name of the fit as the command has it: `pitch`.
@@ -35,13 +35,13 @@ pub struct Report {
     pub rows_incomplete: usize,
     /// Rows that were found and not used, with their reasons.
     pub set_aside: Vec<SetAside>,
-    /// What the user should know before relying on it; whole sentences.
+    /// Warnings for the user before relying on it; whole sentences.
     pub warnings: Vec<String>,
-    /// What was asked for and is not reached, though the constants are fit for use: a tolerance.
+    /// Requests that are not reached, though the constants are fit for use: a tolerance.
     pub unmet: Vec<String>,
     /// Whether the constants are fit for use.
     pub verdict: Verdict,
-    /// What changes in the machine file; empty where the verdict is not to compensate.
+    /// The changes in the machine file; empty where the verdict is not to compensate.
     pub edit: Edit,
 }
 

@@ -4,8 +4,8 @@
 //! readings ─► sites: mean and scatter at each position ─► less the reference line ─► spline
 //! ```
 //!
-//! Two methods. [`Method::Paper`] takes data points as control points, as `docs/physics.md` section 4
-//! tells it. [`Method::LeastSquares`] fits by least squares, with knots placed where they are
+//! Two methods. [`Method::Paper`] takes data points as control points, as in section 4 of
+//! `docs/physics.md`. [`Method::LeastSquares`] fits by least squares, with knots placed where they are
 //! needed, and takes one more as long as it has reason to:
 //!
 //! - it stops at the fewest coefficients with which every residual is within the tolerance; where
@@ -65,7 +65,7 @@ pub const PATIENCE: usize = 2;
 /// With more coefficients a curve is too large for a board, and follows the noise.
 pub const MOST_COEFFICIENTS: usize = 128;
 
-/// What is asked for.
+/// Tolerance, method and limits of the fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The largest residual allowed, in µm, above 0. `None`: down to the noise.
@@ -178,7 +178,7 @@ pub struct Fit {
     pub tolerance_um: Option<f64>,
     /// Whether every residual is within it; true where none was asked for.
     pub is_within_tolerance: bool,
-    /// What is left at the sites.
+    /// The residuals at the sites.
     pub residual: Residual,
     /// The noise of one reading; `None` where as many coefficients as readings leave nothing.
     pub noise: Option<Noise>,
@@ -193,7 +193,7 @@ pub struct Fit {
     pub slope_um_per_mm: f64,
     /// Largest absolute curvature in µm/mm².
     pub curvature_um_per_mm2: f64,
-    /// What the user should know, a sentence each.
+    /// Warnings for the user, a sentence each.
     pub warnings: Vec<String>,
     /// The limit that was asked for.
     most_coefficients: usize,

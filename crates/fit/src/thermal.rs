@@ -12,7 +12,7 @@
 //! over T), so that it need not pass through the levels' own noise, and no level need be exactly
 //! constant.
 //!
-//! What cannot be distinguished is said: a constant error per metre that the axis has at every
+//! The report says what cannot be distinguished: a constant error per metre that the axis has at every
 //! temperature shifts T₀, and so does the arbitrary zero of an instrument where K₀ counts.
 //!
 //! No matrix has a row for each observation and a column for each parameter more than once: a run
@@ -46,7 +46,7 @@ use crate::{
 /// Two T₀ differ, or a table is needed, beyond this probability of chance.
 const SURE: f64 = 0.999;
 
-/// What to fit.
+/// The terms, the column and the form of the fit.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Which terms; `None`: the machine file's, else what left-out rows favour.
@@ -56,7 +56,7 @@ pub struct Options {
     /// The rows of a table, at least 2; `None`: constants, unless runs at three temperatures or
     /// more do not lie on a line.
     pub table_rows: Option<usize>,
-    /// What the other sections of the machine file say of each row of all runs, in µm: it is taken
+    /// The prediction of the other sections of the machine file for each row of all runs, in µm: it is taken
     /// off before the fit.
     pub known_um: Option<Vec<f64>>,
 }
@@ -440,7 +440,7 @@ fn two_rows(data: &Data, law: &Law<'_>, c: &[f64]) -> Vec<ThermalRow> {
     ends.map(row).to_vec()
 }
 
-/// What the data cannot part.
+/// Reports the constants that the data cannot separate.
 fn say_what_is_one(report: &mut Report, mode: ThermalMode, is_table: bool) {
     if is_table {
         return;

@@ -2,8 +2,8 @@
 //!
 //! All terms are fitted together, in rows that the most likely noise with a memory makes independent. The term with the
 //! smallest |t| goes, until each is beyond `Unit::limit`. A cause whose share of the readings is below the floor goes too.
-//! What is left is tried on arcs that were left out in turn, each cause against the model without it, and against every
-//! other cause in its place: what predicts as well is an alternative.
+//! The causes left are tried on arcs that were left out in turn, each against the model without it, and against every
+//! other cause in its place: one that predicts as well is an alternative.
 
 use trueup_numerics::{
     blocks::rms,
@@ -169,7 +169,7 @@ struct Fit<'r> {
     white: Vec<Vec<f64>>,
     y: Vec<f64>,
     steps: Steps,
-    /// What limits of t are multiplied by.
+    /// The factor on limits of t.
     caution: f64,
 }
 

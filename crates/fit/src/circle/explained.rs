@@ -1,4 +1,4 @@
-//! One circle: searched, chosen, told in causes.
+//! One circle: searched, chosen, reported as causes.
 
 use trueup_numerics::blocks::rms;
 

@@ -12,7 +12,7 @@ use super::{
     terms::{Shape, Term, Wave, since_reversal},
 };
 
-/// What a candidate must remove, in variances of what is left: a wave by chance in 10⁻⁴ of circles.
+/// Minimum gain of a candidate, in variances of the residual: a wave by chance in 10⁻⁴ of circles.
 const GAIN: f64 = 30.0;
 /// Rounds of a search, and of a look at each that was found.
 const ROUNDS: usize = 3;

@@ -19,7 +19,7 @@ pub enum Wave {
     Sine,
 }
 
-/// What grows with the time.
+/// The parameter of the circle that drifts with the time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Moving {
     /// The radius.

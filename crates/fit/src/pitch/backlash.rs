@@ -51,7 +51,7 @@ pub enum WidthRule {
 /// A fitted backlash.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BacklashFit {
-    /// What was found, with what changes in the machine file.
+    /// The result, with the changes in the machine file.
     pub report: Report,
     /// The width; `None` if it should not be laid in.
     pub backlash: Option<Backlash>,

@@ -75,7 +75,7 @@ pub(super) fn told(
 }
 
 impl ByFeed {
-    /// What the report has of it, next to the width `width_um` that was taken.
+    /// Adds the widths by feed to the report, next to the width `width_um` that was taken.
     pub fn say(&self, report: &mut Report, width_um: f64) {
         let chosen = self.widths[self.chosen].0;
         report.facts.push(Fact::number("at_feed_mm_per_min", chosen));

@@ -1,4 +1,4 @@
-//! What a reversal changes: the reading from the negative side minus that from the positive one.
+//! The effect of a reversal: the reading from the negative side minus that from the positive one.
 
 use super::readings::{Reading, Readings};
 

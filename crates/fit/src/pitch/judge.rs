@@ -1,4 +1,4 @@
-//! What each correction leaves on runs that it has not seen: the figures of the report.
+//! The residuals of each correction on runs that it has not seen: the figures of the report.
 //!
 //! The runs are left out in turn (in at most [`MOST_FOLDS`] blocks of consecutive runs); each
 //! correction is fitted to the others and judged on the one left out by its mean square error, as the
@@ -33,7 +33,7 @@ const MOST_FOLDS: usize = 20;
 /// Mean squares nearer than this, in µm², are equal.
 const RESOLUTION_UM2: f64 = 1e-6;
 
-/// What may be taken off.
+/// The corrections that may be taken off the readings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Law {
     Nothing,

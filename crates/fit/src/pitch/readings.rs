@@ -39,7 +39,7 @@ pub(super) struct Reading {
     pub um: f64,
 }
 
-/// What was measured of one axis.
+/// The readings of one axis.
 #[derive(Clone, Debug)]
 pub(super) struct Readings {
     /// The targets in mm, rising.
@@ -56,7 +56,7 @@ pub(super) struct Readings {
     pub is_record: bool,
 }
 
-/// What is wanted of a run.
+/// The selection of the readings of a run.
 pub(super) struct Wanted<'a> {
     pub axis: LinearAxis,
     /// Only runs with these numbers.

@@ -1,4 +1,4 @@
-//! What a pitch fit has found, in a report.
+//! The report of a pitch fit.
 
 use trueup_machine::{
     file::LinearAxis,
@@ -22,7 +22,7 @@ use crate::{
 /// The standard asks for this many arrivals at each target in each direction.
 const RUNS_OF_THE_STANDARD: usize = 5;
 
-/// What was measured, whatever becomes of it.
+/// Adds the figures of the measurement to the report, whatever becomes of the correction.
 pub(super) fn describe(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
     let um: Vec<f64> = readings.list.iter().map(|reading| reading.um).collect();
     report.before = Spread::of(&um);
@@ -66,7 +66,7 @@ fn iso230_facts(iso230: &Iso230) -> Vec<Fact> {
     facts
 }
 
-/// What a user should know who relies on the table.
+/// Adds the warnings for a user who relies on the table.
 pub(super) fn warn(report: &mut Report, readings: &Readings, iso230: &Option<Iso230>) {
     let warnings = &mut report.warnings;
     if readings.runs < 2 {

@@ -20,7 +20,7 @@ use crate::bspline::{clamped, least_squares};
 /// Points of largest curvature to begin with.
 const LARGEST_CURVATURES: usize = 8;
 
-/// What the control values are.
+/// The choice of the control values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Control {
     /// The readings at the chosen points: the paper's.
@@ -29,7 +29,7 @@ pub(super) enum Control {
     LeastSquares,
 }
 
-/// What the paper's rule comes to.
+/// The result of the paper's rule.
 #[derive(Clone, Debug)]
 pub(super) struct Chosen {
     /// The curve.

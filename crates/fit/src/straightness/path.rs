@@ -238,7 +238,7 @@ impl<'s> Path<'s> {
     }
 }
 
-/// Inner knots to a micrometre where that leaves them apart: nobody places a knot better than that,
+/// Inner knots to a micrometre where that leaves them apart: no knot is placed better than that,
 /// and a machine file is read by people.
 fn rounded(inner: &[f64], first: f64, last: f64) -> Vec<f64> {
     let before = std::iter::once(first).chain(inner.iter().copied());

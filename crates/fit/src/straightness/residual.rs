@@ -1,6 +1,6 @@
-//! What a curve leaves of the readings, in the figures of the paper's Table 1.
+//! The residuals of the readings from a curve, in the figures of the paper's Table 1.
 
-/// What lies between readings and a curve, over the positions.
+/// The differences between readings and a curve, over the positions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Residual {
     /// Largest minus smallest, in µm.

@@ -27,7 +27,7 @@ const STRAIGHT: f64 = 1e-3;
 /// Places at which a speed is drawn, and a curvature looked for.
 const PLACES: u32 = 800;
 
-/// What is asked for.
+/// The request: the quantity, the fit of the curves, the feed and the cycle.
 #[derive(Clone, Debug)]
 pub struct Asked<'q> {
     /// `dx`, `dy`, `dz` where a run measures several errors.
@@ -58,15 +58,15 @@ pub struct Entry {
     pub name: String,
     /// Different positions along it.
     pub positions: usize,
-    /// What is measured without any correction.
+    /// The measured error without any correction.
     pub without: Left,
-    /// What each way leaves, and asks of the machine.
+    /// Each way's residuals, and its demands on the machine.
     pub rows: Vec<Row>,
     /// A curve by the paper's way: this many control points leave a largest residual of this many µm.
     pub steps: Vec<(usize, f64)>,
 }
 
-/// What is left.
+/// The residual error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Left {
     /// Over the whole way.
@@ -84,11 +84,12 @@ pub struct Row {
     pub way: Way,
     /// Coefficients of all curves that it takes.
     pub coefficients: usize,
-    /// What is left.
+    /// The residual error.
     pub left: Left,
     /// Largest jump of the correction's speed, in mm/s, at least 0; 0 for what has no corners.
     pub jump_mm_per_s: f64,
-    /// What the correction asks of its axis at most, in mm/s²: its curvature at this feed, and a jump within a cycle.
+    /// The largest acceleration that the correction needs of its axis, in mm/s²: its curvature at this feed,
+    /// and a jump within a cycle.
     pub acceleration_mm_per_s2: f64,
     /// The correction's speed over the way, to be drawn: mm, and µm/s.
     pub speed: Vec<[f64; 2]>,
@@ -271,7 +272,7 @@ struct Places {
     cosines: Vec<f64>,
 }
 
-/// What one curve has of a correction along a straight way.
+/// The share of one curve in a correction along a straight way.
 struct Share<'m> {
     model: &'m Model,
     start_mm: f64,

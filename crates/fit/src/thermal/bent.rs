@@ -1,4 +1,4 @@
-//! A law that bends with the temperature, where nobody asked for a table: the fewest rows that left-out
+//! A law that bends with the temperature, where no table was asked for: the fewest rows that left-out
 //! rows are clearly better with than with lines.
 //!
 //! Tried are a kink (three rows, the middle one searched) and tables of equal steps. The bend is found at rest

@@ -1,4 +1,5 @@
-//! The constants as sections of a machine file. What the file has already was taken off the readings, so the new part is added to it.
+//! The constants as sections of a machine file. The part that the file has already was
+//! taken off the readings, so the new part is added to it.
 //!
 //! All constants are written together: they are those that correct best within the measured volume. One that is not known by
 //! itself shares its error with others in a way that only fits there; the remark says so.

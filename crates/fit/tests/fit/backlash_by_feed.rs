@@ -1,4 +1,4 @@
-//! Backlash that depends on the feed (paper 4): told, and not averaged away.
+//! Backlash that depends on the feed (paper 4): reported, and not averaged away.
 
 use std::fmt::Write as _;
 

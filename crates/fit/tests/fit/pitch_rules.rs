@@ -1,4 +1,4 @@
-//! What a run must keep to be fitted: every broken rule is named with its line and column.
+//! The rules that a run must keep to be fitted: every broken rule is named with its line and column.
 
 use crate::pitch_support::run_of;
 use trueup_fit::pitch::{Options, Ways, fit, fit_backlash};

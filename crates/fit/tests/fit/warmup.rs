@@ -75,7 +75,7 @@ fn a_clear_end_of_the_growth_gives_the_warm_time_and_the_exponent_themselves() {
     assert_round_trip(&report, MACHINE, &run, 0);
 }
 
-/// The record alone cannot tell; the closed form must agree with it all the same.
+/// The record alone does not show it; the closed form must agree with it all the same.
 #[test]
 fn without_an_end_the_exponent_is_set_and_said_to_be() {
     let truth = Warmup { warm_s: 40_000.0, exponent: 30.0, ..TRUTH };

@@ -1,4 +1,4 @@
-//! What the tests of the pitch fit share.
+//! Shared parts of the tests of the pitch fit.
 
 use std::{borrow::Cow, fmt::Write as _, path::Path};
 

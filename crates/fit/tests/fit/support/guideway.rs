@@ -31,7 +31,7 @@ pub struct Guideway {
     /// Place as a share of the travel, half the change of slope.
     kinks: Vec<(f64, f64)>,
     scale: f64,
-    /// What is taken off so that both ends are 0.
+    /// The line that is taken off so that both ends are 0.
     line: (f64, f64),
 }
 

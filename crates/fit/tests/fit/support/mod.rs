@@ -1,4 +1,4 @@
-//! What the tests of whole fits share: runs from numbers, and the way through a machine file.
+//! Shared parts of the tests of whole fits: runs from numbers, and the way through a machine file.
 
 pub mod guideway;
 
