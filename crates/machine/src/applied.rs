@@ -1,4 +1,4 @@
-//! What a bridge applied while a run was measured, taken out again.
+//! The offsets that a bridge applied while a run was measured, taken out again.
 //!
 //! A record of the monitor has the offsets that the CNC added (`offset_x_um`, …) and their `quality`.
 //! An instrument next to it reads what is left, so that the machine's own error is
@@ -12,9 +12,9 @@
 //! largest offset at the slew limit. So what was measured after that is the machine's own, also before a CNC
 //! has engaged for the first time.
 //!
-//! Rows in which nobody knows what was applied are set aside: their measured value becomes a missing
-//! one, and the rest of the row stays, for what has a memory. What only says how the bridge was is no
-//! column of the run any more, so that it explains nothing.
+//! Rows in which it is not known what was applied are set aside: their measured value becomes a missing
+//! one, and the rest of the row stays, for what has a memory. Columns of the bridge's state are no
+//! longer columns of the run, so that they explain nothing.
 
 mod estimate;
 mod factor;
@@ -39,7 +39,7 @@ pub use places::decisive_record;
 const QUALITY: &str = "quality";
 /// The CRC of the calibration that the bridge ran, as a decimal number; 0: none.
 const CRC: &str = "calibration_crc";
-/// What else a bridge says of its state.
+/// Further columns by which a bridge reports its state.
 const STATE: [&str; 2] = ["flags", "age_ms"];
 /// From this quality on (hold, ramping out, fault) the offset is not the error's opposite, or not
 /// known to be followed (`docs/book/src/offsets.md`).
@@ -55,7 +55,7 @@ const LATE_S: f64 = 1.0;
 #[derive(Clone, Debug)]
 pub struct Unaided<'r> {
     run: Cow<'r, RunFile>,
-    /// What was applied in each row, by quantity: see [`Unaided::offset_um`].
+    /// The offset applied in each row, by quantity: see [`Unaided::offset_um`].
     offset_um: Vec<(Quantity, Vec<f64>)>,
 }
 
@@ -68,12 +68,12 @@ impl Deref for Unaided<'_> {
 }
 
 impl<'r> Unaided<'r> {
-    /// `run` without what a bridge applied, and what of it the user is told, a sentence each. One without the
-    /// columns of a bridge is as it was.
+    /// Returns `run` without what a bridge applied, and the notes for the user, a sentence each. A run without the
+    /// columns of a bridge is unchanged.
     ///
     /// `machine` says where the tool points, and which calibration was to run; without one the tool points
     /// down and the calibration is not compared. A quantity that lacks the column of its offset is left
-    /// out, and told.
+    /// out, and the notes say so.
     ///
     /// # Errors
     /// There are offsets without a quality; the `wanted` quantity, or every one, lacks the column of its
@@ -144,7 +144,7 @@ pub fn offsets_um(run: &RunFile, machine: Option<&Machine>) -> Result<Option<Off
 /// A run without what was applied, and what that was, by quantity.
 type Without = (RunFile, Vec<(Quantity, Vec<f64>)>);
 
-/// `run` without what was applied; `None` where nothing was. What is reported, and the errors are those of
+/// `run` without what was applied; `None` where nothing was. The notes and the errors are those of
 /// [`Unaided::of`].
 fn taken_out(
     run: &RunFile,
@@ -394,7 +394,7 @@ impl Record<'_> {
     }
 }
 
-/// Returns the share of an offset along the tool. What does not matter need not be known: a component of the
+/// Returns the share of an offset along the tool. An input without effect need not be known: a component of the
 /// tool that is 0, and an offset of 0.
 fn along_tool(offset: [f64; 3], tool: [f64; 3]) -> f64 {
     if offset == [0.0; 3] {

@@ -53,7 +53,7 @@ pub fn read_text(path: &Path, most_bytes: u64) -> Result<String, BadInput> {
     })
 }
 
-/// Returns the end of a sentence that tells a bound.
+/// Returns the end of a sentence that states a bound.
 pub(crate) fn at_most(bytes: u64) -> String {
     const MEBIBYTE: u64 = 1 << 20;
     format!("more than the {} MiB that are read", bytes / MEBIBYTE)

@@ -1,7 +1,7 @@
-//! What a machine file or a run will do, and what in it is unlikely to be meant.
+//! The effects of a machine file or a run, and what in it is unlikely to be meant.
 //!
-//! What cannot be is refused by whoever reads it. What can be, and hardly ever is (a temperature in
-//! kelvin, a table beyond the travel), is a [`Warning`] with its line: the correction would run, and
+//! The impossible is refused by the code that reads it. The unlikely (a temperature in
+//! kelvin, a table beyond the travel) is a [`Warning`] with its line: the correction would run, and
 //! cut with it. A rule is one small function; where it has a number, that stands with its source in
 //! `docs/thresholds.md`. A rule that would fire on a right file is a fault: the shipped files and
 //! every measured set that the project knows are silent.

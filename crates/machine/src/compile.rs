@@ -163,7 +163,7 @@ pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
     Ok(Compiled { blob, parts, largest_difference_nm })
 }
 
-/// What a machine is called that its calibration does not name.
+/// The name of a shown machine whose calibration has none.
 pub const UNNAMED: &str = "shown";
 
 /// Returns a machine that compiles to `calibration`, or as nearly as the machine file can say it.

@@ -28,11 +28,11 @@ const NORMAL_C: [f64; 2] = [10.0, 30.0];
 /// How long a temperature takes over its range, in s: 20 K at 2 K a minute, as a spindle's front bearing does
 /// in the first minutes at its rated speed.
 const CHANGE_S: f64 = 600.0;
-/// What has had this many of its longest time constants has settled to a ten-thousandth.
+/// After this many of its longest time constants a state has settled to a ten-thousandth.
 const SETTLED: f64 = 10.0;
 /// Times after the ramp, at equal ratios.
 const TIMES: i32 = 10;
-/// What no machine's growth nor shift is, in µm: twice the range of the displacement sensor of the paper, 500 µm.
+/// A growth or shift that no machine has, in µm: twice the range of the displacement sensor of the paper, 500 µm.
 const IMPOSSIBLE_UM: f64 = 1000.0;
 /// Two terms take each other back where less than this share of the smaller is left of both.
 const TAKEN_BACK: f64 = 0.2;
@@ -42,7 +42,7 @@ const LARGE_UM: f64 = 50.0;
 /// Thermometers whose ends are combined one by one; of more all go together.
 const MAX_ALONE: usize = 5;
 
-/// What the inputs of a machine may be.
+/// The ranges of a machine's inputs.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct InputRanges {
     /// In °C by column; a column that is not there: 10 to 30 °C.
@@ -84,7 +84,7 @@ fn rated_rpm(machine: &Machine) -> f64 {
     machine.spindle.warmup.as_ref().and_then(|warmup| warmup.rated_rpm).unwrap_or(0.0)
 }
 
-/// What the model says in one state.
+/// The prediction of the model in one state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State {
     /// `elongation`, `dx`, `dy` and `dz`, in µm.
@@ -245,7 +245,7 @@ fn places(ranges: &InputRanges) -> Vec<([f64; 3], f64)> {
     places
 }
 
-/// What the terms of a machine do where they leave what is possible.
+/// The axis and the term by which a machine leaves what is possible.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Excess {
     /// The axis that is moved too far.
@@ -254,7 +254,7 @@ pub struct Excess {
     pub term: usize,
     /// The error that the model says, in µm: the offset is its opposite.
     pub um: f64,
-    /// What is wrong, after the key of that term.
+    /// The rule that is broken, after the key of that term.
     pub rule: String,
 }
 
@@ -277,7 +277,7 @@ pub fn excess(machine: &Machine) -> Option<Excess> {
     })
 }
 
-/// What a machine with terms does in a workshop's normal states.
+/// The states of a machine with terms in a normal workshop.
 struct OfMachine {
     /// With the terms that the board runs alone.
     machine: Machine,
@@ -286,7 +286,7 @@ struct OfMachine {
     all: Vec<State>,
     /// Without any term.
     plain: Vec<State>,
-    /// What each term does in each state, in µm.
+    /// The effect of each term in each state, in µm.
     alone: Vec<Vec<[f64; 4]>>,
 }
 
@@ -325,7 +325,7 @@ impl OfMachine {
 pub struct Cancelling {
     /// Their numbers, from 0.
     pub terms: [usize; 2],
-    /// What each does once settled, in µm.
+    /// The effect of each once settled, in µm.
     pub um: [f64; 2],
     /// The axis on which they do.
     pub axis: LinearAxis,
@@ -370,7 +370,7 @@ pub fn refuse(machine: &Machine) -> Result<(), BadInput> {
     }
 }
 
-/// What to do about terms that leave what is possible.
+/// The remedy for terms that leave what is possible.
 const HELP: &str =
     "take the terms out, or diagnose anew: a diagnosis writes none that leave what was measured";
 

@@ -2,7 +2,7 @@
 //!
 //! Each section has one page: its type, how it is read and how it is written. Reading
 //! is strict: a misspelt key must not become a silent default, because the machine would then cut
-//! with it. What the format knows but this version does not run is refused by name, never skipped.
+//! with it. A key that the format knows but this version does not run is refused by name, never skipped.
 
 pub(crate) mod axis;
 mod chain;
@@ -163,7 +163,7 @@ impl MachineFile {
     }
 }
 
-/// What is wrong so far.
+/// The faults found so far.
 #[derive(Default)]
 struct Faults(Vec<BadInput>);
 

@@ -27,7 +27,7 @@ pub const REFERENCE_VOLTS: f64 = 3.3;
 /// The board's temperature channels are numbered from 0 to this one.
 pub const LAST_CHANNEL: u8 = 7;
 
-/// What is connected to the board. Needed to run there, not to predict.
+/// The inputs connected to the board. Needed to run there, not to predict.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Inputs {
     /// The displacement sensor.
@@ -56,16 +56,16 @@ pub struct ConditionInput {
 pub struct TemperatureInput {
     /// The converter's number on the board, 0…[`LAST_CHANNEL`]; no two temperatures share one.
     pub channel: u8,
-    /// What its counts mean.
+    /// The meaning of its counts.
     pub kind: TemperatureKind,
     /// How fast it may change in K/min, within [`RATES_C_PER_MIN`]; `None`: the board's default where a law uses it.
     pub max_c_per_min: Option<f64>,
 }
 
-/// What a thermometer's mass can do, from the slowest to the fastest limit that may be stated, in K/min.
+/// Lowest and highest limit that may be stated for a thermometer's rate of change, by what its mass can do, in K/min.
 pub const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 
-/// What the counts of a temperature channel mean.
+/// The meaning of the counts of a temperature channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum TemperatureKind {
     /// A PT100 by IEC 60751.
@@ -81,11 +81,11 @@ pub struct LinearInput {
     pub zero_counts: f64,
     /// Counts for one °C; not 0.
     pub counts_per_c: f64,
-    /// What a count is.
+    /// The meaning of a count.
     pub scale: CountScale,
 }
 
-/// What a count of a linear temperature input is.
+/// The meaning of a count of a linear temperature input.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CountScale {
     /// A code of the board's converter: [`Code::FULL_SCALE`] at [`REFERENCE_VOLTS`] on its pin.
@@ -180,7 +180,7 @@ impl LinearInput {
 
 /// The chain from the displacement sensor's counts to the ADC.
 ///
-/// What the machine file gives is positive, and its full scale after the divider is within
+/// The values of the machine file are positive, and its full scale after the divider is within
 /// [`REFERENCE_VOLTS`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SensorInput {

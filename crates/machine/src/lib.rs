@@ -1,4 +1,4 @@
-//! What the user believes about the machine, and what was measured on it.
+//! The user's model of the machine, and the measurements on it.
 //!
 //! The user's side of the project: text files in, `f64` in the user's units (µm, °C, counts), and
 //! at the far end the integers that the board runs. Nothing here runs on the board.

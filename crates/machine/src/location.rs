@@ -64,23 +64,23 @@ pub(crate) fn without_byte_order_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
-/// What a user's file says that it must not say.
+/// A fault in a user's file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadInput {
     /// Where.
     pub place: Location,
     /// The rule that is broken, with the name and the value at fault.
     pub rule: String,
-    /// What to do about it, a sentence without its full stop, where there is more to say than the rule.
+    /// The remedy, a sentence without its full stop, where there is more to say than the rule.
     pub help: Option<String>,
-    /// What else is wrong with the same file, in the order of its lines, fewer than [`MOST_LISTED`]; none
+    /// The other faults of the same file, in the order of its lines, fewer than [`MOST_LISTED`]; none
     /// of them has others.
     pub others: Vec<BadInput>,
     /// How much more is wrong with it than that.
     pub unlisted: usize,
 }
 
-/// This many faults of a file are reported with their lines: more than a screen of them nobody reads.
+/// Faults of a file that are reported with their lines, at most: more than a screen of them is not read.
 pub const MOST_LISTED: usize = 20;
 
 impl BadInput {

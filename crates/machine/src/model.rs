@@ -56,7 +56,7 @@ use term::TermLags;
 
 use crate::file::{ElongationSource, LinearAxis, Machine, Quantity, SensorModel, Term};
 
-/// What is known of one row of a run. What is missing is NaN.
+/// The inputs of one row of a run, as far as they are known. A missing one is NaN.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Situation<'a> {
     /// `None` where the run has no such column.
@@ -161,7 +161,7 @@ pub struct Parts {
     pub squareness_um: [f64; 3],
     /// Angular errors and location errors of rotary axes, by their levers to the tool tip.
     pub volume_um: [f64; 3],
-    /// What the terms of a diagnosis add to the error of each axis; those of the elongation are in
+    /// The effect of a diagnosis's terms on the error of each axis; those of the elongation are in
     /// it.
     pub terms_um: [f64; 3],
 }
@@ -202,7 +202,7 @@ pub struct ReferenceModel<'m> {
     state: State,
 }
 
-/// What the rows before have left behind.
+/// The state that the rows before have left behind.
 #[derive(Clone, Debug, Default)]
 struct State {
     warmup: WarmupState,

@@ -54,7 +54,7 @@ pub const COLUMNS: [&str; 8] = [
 ];
 
 /// One bit of an offset on the wire, in nm: what fixed-point arithmetic may add to the differences that
-/// [`compile`](crate::compile()) states, because nobody can see it.
+/// [`compile`](crate::compile()) states, because it cannot be seen.
 pub const WIRE_STEP_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
@@ -100,7 +100,7 @@ pub struct Predictor<'a> {
     bridge: Result<Bridge, String>,
 }
 
-/// What was written.
+/// The summary of a written prediction.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Written {
     /// Rows of the run.
@@ -114,7 +114,7 @@ pub struct Written {
     /// The largest difference between model and bridge, in nm, of the columns that were written; `None` without a
     /// bridge or rows.
     pub largest_difference_nm: Option<f64>,
-    /// What of it is the board's arithmetic, in nm; the rest is of terms that it does not run.
+    /// The part of it that is the board's arithmetic, in nm; the rest is of terms that it does not run.
     pub largest_arithmetic_nm: Option<f64>,
     /// Where the bridge is further from the model than [`Predictor::promised_nm`], the furthest: its row, from
     /// 0, and the difference in nm.

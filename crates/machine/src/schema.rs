@@ -161,7 +161,7 @@ pub fn machine_table() -> String {
     rows
 }
 
-/// The rows of a section and of those in it. What is there several times alike is there once.
+/// The rows of a section and of those in it. Sections that are alike are there once.
 fn rows_of(keys: &[Key], section: &str, rows: &mut String) {
     let is_table = |key: &&Key| matches!(key.form, Form::Table(_));
     for key in keys.iter().filter(|key| !is_table(key)) {

@@ -1,6 +1,6 @@
 //! From the integers of the board back to a machine file: the [inverse] of compiling, written.
 //!
-//! What is shown is compiled, and the result held against the calibration. Without curves and
+//! The machine file shown is compiled, and the result held against the calibration. Without curves and
 //! tables over temperature it is the very same. Measured over random ones in
 //! `tests/show_round_trip.rs`: curves within 0.031 nm, tables within 0.025 nm over 1 m. A
 //! calibration that no machine file compiles to (one that was not written by
@@ -84,7 +84,7 @@ fn explained(section: NewSection, machine: &Machine) -> NewSection {
     }
 }
 
-/// What became of a machine file that was shown.
+/// The result of compiling a machine file that was shown.
 struct Back {
     /// It compiles to the calibration, bit for bit.
     is_same: bool,

@@ -17,7 +17,7 @@ pub(crate) const UNITS_PER_MM: f64 = Position::PER_MILLIMETRE as f64;
 pub(crate) const PER_KELVIN: f64 = Temperature::PER_KELVIN as f64;
 /// Gradient units in 1 µm/m: nanometres for 10 nm of travel, Q36.
 pub(crate) const GRADIENT_PER_UM_PER_M: f64 = 1e-5 * (1_u64 << Gradient::FRACTION_BITS) as f64;
-/// What a slope of 1 a kelvin is in the board's integers.
+/// A slope of 1 a kelvin in the board's integers.
 pub(crate) const SLOPE_PER_KELVIN: f64 =
     (1_u64 << (SLOPE_UNIT_BITS + SLOPE_FRACTION_BITS)) as f64 / PER_KELVIN;
 

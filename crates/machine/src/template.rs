@@ -11,7 +11,7 @@ use crate::{
     inputs::REFERENCE_VOLTS,
 };
 
-/// What is known of a machine before anything is measured.
+/// The properties of a machine that are known before anything is measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Template {
     /// Its name, not empty.
@@ -34,14 +34,14 @@ pub struct Template {
     pub control: Control,
 }
 
-/// What the data sheet of a displacement sensor says.
+/// The data sheet of a displacement sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sheet {
     /// Its output at the end of its range, in V, above 0.
     pub volts_full_scale: f64,
     /// µm for one volt, not 0.
     pub um_per_v: f64,
-    /// What a voltmeter shows when the machine is cold, in V.
+    /// The sensor's output when the machine is cold, by a voltmeter, in V.
     pub zero_v: f64,
 }
 
@@ -75,7 +75,7 @@ impl Control {
     }
 }
 
-/// What the divider of the wiring makes of 10 V: 20.0 kΩ over 9.76 kΩ.
+/// A sensor of 10 V and the divider of its wiring: 20.0 kΩ over 9.76 kΩ.
 const WIRED: (f64, f64) = (10.0, 0.328);
 
 /// Returns the divider for a sensor of this many volts: the wiring's, else what leaves 20 mV below the converter's
@@ -89,7 +89,7 @@ fn divider(volts: f64) -> f64 {
 }
 
 impl Template {
-    /// Returns the machine file; `file` is its name in the commands that it tells.
+    /// Returns the machine file; `file` is its name in the commands that it contains.
     #[must_use]
     pub fn to_toml(&self, file: &str) -> String {
         let mut text = String::new();

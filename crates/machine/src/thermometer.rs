@@ -1,6 +1,6 @@
 //! One thermometer's values, judged by its own noise, its last digit and its own steps.
 //!
-//! | fault | is told by |
+//! | fault | is recognised by |
 //! |---|---|
 //! | absent | a value beyond what a resistance thermometer can show; one that a converter sends for a fault; or always the same one, apart from all the others, entered and left in one step |
 //! | frozen | a run of equal values that is far longer than the noise on its last digit allows; or one that is entered or left by a step which no other is near |
@@ -12,7 +12,7 @@ use std::{f64::consts::SQRT_2, ops::Range};
 
 use statrs::function::erf::erfc;
 
-/// What a sound channel may do by chance is believed down to this probability: one false alarm in a
+/// The chance behaviour of a sound channel is believed down to this probability: one false alarm in a
 /// million channels for a step, whose tail is fitted, and one in 10⁹ for a run of equal values, for which
 /// the noise is taken to be white. A tenth or ten times of it is a step of 8 % further or nearer.
 const CHANCE_STEP: f64 = 1e-6;
@@ -20,14 +20,14 @@ const CHANCE_RUN: f64 = 1e-9;
 /// IEC 60751: a platinum thermometer ends at −200 °C and at 850 °C, which is what an open or a shorted
 /// one shows.
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
-/// What a DS18B20's driver sends where the sensor does not answer; no machine is as cold.
+/// The value that a DS18B20's driver sends where the sensor does not answer; no machine is as cold.
 const NO_ANSWER_C: f64 = -127.0;
-/// What a DS18B20 holds from its power-on until its first conversion (data sheet).
+/// The value of a DS18B20 from its power-on until its first conversion (data sheet).
 const POWER_ON_C: f64 = 85.0;
 /// A step to or from the value of a power-on that no thermal mass of a machine makes within
 /// [`FAST_S`], in K: 4 K/min.
 const POWER_ON_STEP_C: f64 = 20.0;
-/// Rows nearer than this are near enough to tell such a step from heat, in s.
+/// Rows nearer than this are near enough to distinguish such a step from heat, in s.
 pub const FAST_S: f64 = 300.0;
 /// The largest steps of a channel by which their tail is known: as many as make its scale known to a
 /// fifth (1/√20).
@@ -39,7 +39,7 @@ const GOES_ON: f64 = 0.05;
 const ASIDE: usize = 3;
 /// Parts of a channel of which the quietest says how much noise there is.
 const PARTS: usize = 4;
-/// Values of a part that are looked at: they tell its share of flickering to a hundredth.
+/// Values of a part that are looked at: they show its share of flickering to a hundredth.
 const PART: usize = 4096;
 /// The most that a sound channel changes from row to row: a logger that is faster than its thermometers
 /// writes each reading down twice.
@@ -48,12 +48,12 @@ const MOST_CHANGES: f64 = 0.5;
 /// phases between two of them.
 const LEVELS: usize = 5;
 
-/// What is wrong with a channel, in rows of its file.
+/// A fault of a channel, in rows of its file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Fault {
     /// It shows no temperature.
     Absent {
-        /// What it shows, in °C; of values beyond the ends of IEC 60751 the first.
+        /// The value shown, in °C; of values beyond the ends of IEC 60751 the first.
         shown: f64,
         /// Where.
         rows: Vec<Range<usize>>,

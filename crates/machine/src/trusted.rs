@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// A column of which more than this share is fault values is left as it is: then it is no temperature at all,
-/// which the units of its values tell.
+/// which the units of its values show.
 const MOST_FAULTS: f64 = 0.5;
 /// A step over more than this many of the usual rows is a pause.
 const PAUSE_ROWS: f64 = 2.0;

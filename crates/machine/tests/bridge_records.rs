@@ -1,5 +1,5 @@
 //! Records of a bridge: what it applied is taken out of what was measured, by the rule that stands in
-//! `docs/reference.md`, and what nobody knows is set aside.
+//! `docs/reference.md`, and rows in which that is not known are set aside.
 
 use std::{borrow::Cow, path::Path};
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use trueup_machine::{MachineFile, RunFile, compile};
 use trueup_numerics::line::{LineFit, Summary, fit_line};
 
-/// What the paper prints for the sensor, in µm.
+/// The paper's elongations by the sensor, in µm.
 const PRINTED_UM: [f64; 15] =
     [5.0, 9.0, 20.0, 22.8, 24.6, 25.5, 36.2, 42.5, 44.5, 46.5, 48.0, 62.4, 62.7, 62.8, 62.8];
 
@@ -87,8 +87,8 @@ fn the_counts_of_the_data_file_give_the_same_figures_within_0_01_um() {
 }
 
 /// Two hours at 24 000 r/min (paper 0): 10, 12, 13, 14 µm are left each half hour, and 80 µm stand there
-/// without compensation. The constants are those of Table 1, not of these figures. What the spindle had
-/// grown by before the end is not printed: the table's line says what it must have been.
+/// without compensation. The constants are those of Table 1, not of these figures. The growth of the
+/// spindle before the end is not printed: the table's line says what it must have been.
 #[test]
 fn the_papers_two_hours_leave_what_table_1_foresees() {
     let figures = figures(&PRINTED_UM);

@@ -52,7 +52,7 @@ fn is_of_type(value: &Value, name: &str) -> bool {
     }
 }
 
-/// What of the schema's language this project's schema uses, and nothing else.
+/// Checks `value` by the part of the schema's language that this project's schema uses, and nothing else.
 fn check(schema: &Value, value: &Value, at: &str) -> Result<(), String> {
     let fails = |why: &str| Err(format!("{at}: {value} {why}"));
     let all = |schemas: &Value| -> Vec<Result<(), String>> {

@@ -1,4 +1,4 @@
-//! What is shown of a calibration compiles back to the same one: bit for bit without curves, and
+//! A calibration that is shown compiles back to the same one: bit for bit without curves, and
 //! within a tenth of a nanometre with them.
 
 use std::path::Path;

@@ -18,7 +18,7 @@ use super::interval::Factor;
 
 /// The least F of the first stage. Below it an instrument is weak (Staiger & Stock 1997).
 const STRONG: f64 = 10.0;
-/// What the scale of a gauge and the form of a model add to the interval, as a share (95 %): linear gauges keep 1 %, and
+/// The share that the scale of a gauge and the form of a model add to the interval (95 %): linear gauges keep 1 %, and
 /// of a lag that the model lacks 3 % were seen.
 const SYSTEMATIC: f64 = 0.03;
 /// A column that lies in the others but for this share of its size is one of them.
@@ -38,7 +38,7 @@ pub(super) fn steps(at: &[f64], starts: &[bool]) -> Steps {
     Steps((0..at.len()).map(step).collect())
 }
 
-/// What is estimated from: measured = Σ explained + factor·offset + noise.
+/// The inputs of the estimate: measured = Σ explained + factor·offset + noise.
 pub(super) struct Estimate<'e> {
     pub measured_um: &'e [f64],
     pub offset_um: &'e [f64],

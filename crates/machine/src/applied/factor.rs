@@ -6,7 +6,7 @@
 //! error    = c(run) + Σ gᵢ·pᵢ        pᵢ the parts of the model, gᵢ free: a wrong gain is not a wrong factor
 //! ```
 //!
-//! While a bridge is engaged its offset is −Σpᵢ, so that only factor − g is seen. What separates the two is the
+//! While a bridge is engaged its offset is −Σpᵢ, so that only factor − g is seen. The two are separated by the
 //! contrast of rows with and without the offset. The factor is therefore estimated by an instrument (two-stage least
 //! squares): the part of the offset that follows from "engaged or not" and from the model, free of all that the model
 //! explains. From an engaged record alone this part is nothing, and the factor stays unknown, whatever the noise of
@@ -36,7 +36,7 @@ const LAGS: [f64; 3] = [0.01, 0.05, 0.2];
 /// Thermometers that the error may go with.
 const MOST_TEMPERATURES: usize = 8;
 
-/// What some runs say of the factor.
+/// The verdict of some runs on the factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Applied {
     /// No offset was applied in any row.
@@ -45,7 +45,7 @@ pub enum Applied {
     Once(Factor),
     /// It applies it otherwise.
     Otherwise(Factor),
-    /// The runs cannot tell: too few rows with, or without, the offset.
+    /// The runs do not decide it: too few rows with, or without, the offset.
     Unknown(Option<Factor>),
 }
 
@@ -120,7 +120,7 @@ pub fn leaves_nothing(runs: &[Unaided<'_>], quantity: Quantity) -> bool {
 ///
 /// # Errors
 /// The CNC applies the offsets otherwise than once; or the bridge was engaged in all rows, and what is left goes with
-/// its offset, so that a CNC that does so would become a constant. What to do is in the rule.
+/// its offset, so that a CNC that does so would become a constant. The rule says what to do.
 pub fn require_applied_once(
     runs: &[Unaided<'_>],
     machine: Option<&Machine>,
@@ -153,7 +153,7 @@ pub struct Pairs<'p> {
     pub difference_um: &'p [f64],
     /// The offset of the second less that of the first, in µm; NaN where it is not known.
     pub offset_um: &'p [f64],
-    /// What the machine file predicts for the second less for the first, in µm; NaN where nothing is.
+    /// The prediction of the machine file for the second less that for the first, in µm; NaN where there is none.
     pub predicted_um: &'p [f64],
 }
 

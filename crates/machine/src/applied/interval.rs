@@ -9,7 +9,7 @@ const RIGHT: [f64; 2] = [0.5, 2.0];
 /// A factor with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Factor {
-    /// What the machine does for 1 µm of offset, in µm.
+    /// The movement of the machine for 1 µm of offset, in µm.
     pub value: f64,
     /// Its 95 % interval.
     pub ci95: [f64; 2],

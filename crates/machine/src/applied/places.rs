@@ -1,8 +1,8 @@
-//! Where a CNC may apply an offset otherwise than once, control by control, and what the user is told.
+//! Where a CNC may apply an offset otherwise than once, control by control, and the sentences for the user.
 
 use super::interval::Factor;
 
-/// What may be wrong on each control.
+/// The possible faults of each control.
 const PLACES: [&str; 5] = [
     "LinuxCNC: axis.L.eoffset-scale (trueup.0.scale, 10⁻⁶ mm for a count of 1 nm) and the sign of axis.L.eoffset-counts; \
      axis.L.eoffset-enable; [AXIS_L] OFFSET_AV_RATIO (absent or 0: the offset is never applied); another owner that adds \

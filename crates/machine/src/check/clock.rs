@@ -36,7 +36,7 @@ const VISIBLE: f64 = 5.0;
 /// Lines before and after of which the steeper is at most this much steeper are one course.
 const ALIKE: f64 = 2.5;
 
-/// What is found in the clock of a run.
+/// The findings about the clock of a run.
 #[derive(Default)]
 pub(super) struct Clock {
     /// Slips: constants that are fitted to this time are wrong.
@@ -52,7 +52,7 @@ struct Step {
     row: usize,
     step_s: f64,
     is_hour: bool,
-    /// What the values say; `None` where they do not move.
+    /// Whether the values show a slip; `None` where they do not move.
     is_slip: Option<bool>,
 }
 

@@ -39,7 +39,7 @@ pub struct Finding {
     pub key: String,
     /// How far off it is.
     pub grade: Grade,
-    /// What is said of it.
+    /// The warning about it.
     pub warning: Warning,
 }
 

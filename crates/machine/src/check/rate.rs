@@ -3,7 +3,7 @@
 use super::warning::Warning;
 use crate::{file::Machine, model::required_columns};
 
-/// What changes faster than a machine's parts, by a word of the column's name, in English and German.
+/// Things that change faster than a machine's parts, by a word of the column's name, in English and German.
 const FAST: [&str; 20] = [
     "air",
     "ambient",

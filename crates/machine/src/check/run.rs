@@ -26,7 +26,7 @@ const FEWEST_ROWS: usize = 3;
 /// This many rows are held against the model: a long run need not be predicted whole to know its unit.
 const LOOKED_AT: usize = 10_000;
 
-/// What a sensor gives at most, in V: 10 V, and a tenth more where it overruns.
+/// Largest output of a sensor, in V: 10 V, and a tenth more where it overruns.
 const MOST_VOLTS: f64 = 11.0;
 
 pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {

@@ -9,7 +9,7 @@ use crate::{
 /// A SIMATIC S7's analogue input gives this many counts at 10 V (its manual); the paper's controller, and
 /// with it many examples, 32768.
 pub(super) const S7_COUNTS: f64 = 27_648.0;
-/// What a signed 16-bit input would give at full scale.
+/// Counts of a signed 16-bit input at full scale.
 pub(super) const FULL_COUNTS: f64 = 32_768.0;
 
 /// The shortest and the longest measuring range of a displacement sensor in µm: capacitive ones begin at

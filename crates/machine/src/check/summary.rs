@@ -1,4 +1,4 @@
-//! What a machine file will do: how far each axis may be moved and by what, how fast, how finely the
+//! The effects of a machine file: how far each axis may be moved and by what, how fast, how finely the
 //! sensor is read, and how much of the board's memory it takes.
 
 use trueup_store::calibration::MAX_SIZE;
@@ -13,7 +13,7 @@ use crate::{
     location::BadInput,
 };
 
-/// What a machine file will do.
+/// The effects of a machine file.
 #[derive(Clone, Debug)]
 pub struct Summary {
     /// X, Y and Z.
@@ -22,7 +22,7 @@ pub struct Summary {
     pub slew_um_per_s: f64,
     /// The slowest rapid traverse, in mm/min, of which the slew is 1 %.
     pub slowest_rapid_mm_per_min: f64,
-    /// The axes on which the board cannot tell a jump of the CNC's position: their rapid traverse is not stated.
+    /// The axes on which the board cannot detect a jump of the CNC's position: their rapid traverse is not stated.
     pub jumps_pass: Vec<LinearAxis>,
     /// How finely the displacement sensor is read; `None` where none is connected.
     pub sensor: Option<SensorSummary>,
@@ -32,12 +32,12 @@ pub struct Summary {
     pub most_bytes: usize,
 }
 
-/// What becomes of one axis.
+/// The correction of one axis.
 #[derive(Clone, Debug)]
 pub struct AxisSummary {
     /// Which.
     pub axis: LinearAxis,
-    /// What corrects it, each with its largest error.
+    /// The parts of the correction, each with its largest error.
     pub parts: Vec<Part>,
     /// The largest offset on X, Y or Z that the board gives, in µm.
     pub limit_um: f64,
@@ -52,7 +52,7 @@ pub struct SensorSummary {
     pub um_per_code: f64,
     /// µm from 0 to full scale.
     pub range_um: f64,
-    /// What the sensor gives at full scale, in V.
+    /// The sensor's output at full scale, in V.
     pub volts_full_scale: f64,
     /// The counts at full scale.
     pub counts_full_scale: f64,

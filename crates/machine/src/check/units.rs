@@ -1,7 +1,7 @@
 //! The values of a run's columns, held against what can be measured on a machine: °F, kelvin or tenths for °C,
 //! milliseconds or minutes for seconds, millimetres or inches for micrometres, metres for millimetres.
 //!
-//! | rule | is told by |
+//! | rule | is recognised by |
 //! |---|---|
 //! | temperature | what a thermometer of the model shows at its coldest, and whether it is a warm machine in another unit |
 //! | clock | how long a spindle runs without a stop, how fast a part warms |
@@ -31,7 +31,7 @@ const MOST_COLDEST_C: f64 = 120.0;
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
 /// A machine that stands is at 10 to 35 °C, which is this many °F …
 const STANDING_F: std::ops::RangeInclusive<f64> = 50.0..=95.0;
-/// What stands in one workshop is no further apart than this, in °C.
+/// Parts that stand in one workshop are no further apart than this, in °C.
 const APART_C: f64 = 5.0;
 /// … and what runs in it at 60 °C at most.
 const MOST_F: f64 = 140.0;
@@ -148,7 +148,7 @@ fn temperature(
 }
 
 /// Returns whether the other thermometers allow that a column is in °F: all of them may be, or those that are not show
-/// what it would in °C. What is warm from the first row on is no °F next to them.
+/// what it would in °C. A column that is warm from the first row on is no °F next to them.
 fn may_be_fahrenheit(column: &Column, thermometers: &[&Column]) -> bool {
     let Some([least_f, most_f]) = range(&column.values) else { return true };
     let others = thermometers.iter().filter(|other| other.name != column.name);

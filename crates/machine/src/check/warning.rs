@@ -10,9 +10,9 @@ use crate::{
 pub struct Warning {
     /// Where.
     pub place: Location,
-    /// What stands there, and why it is doubted.
+    /// The doubted value, and why it is doubted.
     pub what: String,
-    /// What to do about it.
+    /// The remedy.
     pub help: String,
 }
 

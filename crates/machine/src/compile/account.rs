@@ -6,7 +6,7 @@ use crate::{file::Machine, location::BadInput};
 /// refused.
 pub const LARGEST_DIFFERENCE_NM: f64 = 2.0;
 
-/// What was found out on the way: each part with its largest difference from the model.
+/// The compiled parts of a machine, each with its largest difference from the model.
 pub(super) struct Account<'m> {
     pub(super) machine: &'m Machine,
     pub(super) parts: Vec<(String, f64)>,

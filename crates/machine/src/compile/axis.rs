@@ -1,4 +1,4 @@
-//! What is known of one linear axis along its own direction.
+//! The model of one linear axis along its own direction.
 
 use trueup_core::{
     calibration,

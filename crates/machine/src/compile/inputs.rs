@@ -46,7 +46,7 @@ pub(super) fn channel(machine: &Machine, key: &str, column: &str) -> Result<u8, 
 /// Returns the lines of `[inputs]` that a board needs next to those of `machine` for the temperatures of its laws and
 /// terms; each gets the first channel that is free. Nothing where none is missing.
 ///
-/// What is connected there nobody knows here: a PT100 is written, the usual thermometer.
+/// The kind of thermometer is not known here: a PT100 is written, the usual one.
 #[must_use]
 pub fn missing_inputs(machine: &Machine) -> Vec<String> {
     let connected = machine.inputs.as_ref().map(|inputs| &inputs.temperatures);

@@ -85,7 +85,7 @@ fn is_stored_as(written: [f64; 3], stored: Direction) -> bool {
 /// Returns a vector of length 1 whose every component rounds to that of `stored`.
 ///
 /// The stored vector is not of length 1, and to scale it can move a component by up to 0.68 of its
-/// last place, into the next one. What rounding has added to the length is therefore taken back in
+/// last place, into the next one. The length added by rounding is therefore taken back in
 /// equal steps from all three components, which moves each by half a place at most if there is such
 /// a vector at all.
 fn unit_vector_near(stored: Direction) -> [f64; 3] {

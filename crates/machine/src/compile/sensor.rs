@@ -11,8 +11,8 @@
 //! input range is at one of its ends. It is measured at both for every calibration and refused
 //! above [`LARGEST_DIFFERENCE_NM`]. Measured: 0 nm for the paper's sensor, whose constants are
 //! exact here, and at most 0.506 nm over 200 000 random sensors with the zero reading in range, of
-//! which 0.5 nm is K's rounding (`the_stored_law_is_within_0_51_nm_…`). What the board adds when it
-//! runs the law is the rounding of the reading (half a unit, 0.06 nm for the paper's sensor) and of
+//! which 0.5 nm is K's rounding (`the_stored_law_is_within_0_51_nm_…`). When the board
+//! runs the law, it adds the rounding of the reading (half a unit, 0.06 nm for the paper's sensor) and of
 //! the result (half a nanometre).
 
 use trueup_core::{

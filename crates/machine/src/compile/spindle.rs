@@ -14,7 +14,7 @@ use crate::{
     location::BadInput,
 };
 
-/// What the spindle's models have become.
+/// The compiled models of the spindle.
 pub(super) struct SpindleTables {
     sensor: SensorLaw,
     /// With the smoothing factors of its lag, rising and falling.

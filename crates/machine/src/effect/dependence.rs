@@ -91,7 +91,7 @@ pub struct Dependence {
     pub lag_s: f64,
     /// How the error depends on it.
     pub form: Form,
-    /// What the dependence is multiplied by.
+    /// The factor that the dependence is multiplied by.
     pub times: Times,
 }
 

@@ -26,8 +26,8 @@ use crate::{
 const POWERS: [(SpeedPower, &str, &str); 2] =
     [(SpeedPower::Second, "speed2", "um_per_krpm2"), (SpeedPower::First, "speed", "um_per_krpm")];
 
-/// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). What comes sooner
-/// is no heat, but any law of the speed.
+/// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). A faster
+/// effect is no heat, but any law of the speed.
 const FASTEST_S: f64 = 300.0;
 
 /// Heat by a path of its own.

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Friction, inertia and the loop's own following error take up a play otherwise when the axis comes
-//! faster. No control and no bridge is told the feed while it corrects: they run the width of one feed,
+//! faster. No control and no bridge receives the feed while it corrects: they run the width of one feed,
 //! that which the user says the parts get their size at, and where a run does not say its feed that one
 //! is predicted as well.
 

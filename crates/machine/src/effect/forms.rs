@@ -83,7 +83,7 @@ pub enum LateForm {
     },
 }
 
-/// What a dependence on a column is multiplied by: f.
+/// The factor that a dependence on a column is multiplied by: f.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Times {
     /// 1.

@@ -1,4 +1,4 @@
-//! What the causes have in common that follow a temperature, c·(lag_τ(T) − T_ref).
+//! Shared parts of the causes that follow a temperature, c·(lag_τ(T) − T_ref).
 
 use super::{
     page::{Entry, Heat, Input, Value},

@@ -130,7 +130,7 @@ macro_rules! causes {
                 Ok(match self { $(Self::$Page => Effect::$Page($Page::read(section)?),)* })
             }
 
-            /// Returns the measurement that would tell it from `rival`.
+            /// Returns the measurement that would distinguish it from `rival`.
             fn against(self, rival: &str) -> Option<&'static str> {
                 match self { $(Self::$Page => $Page::against(rival),)* }
             }
@@ -405,7 +405,7 @@ impl Effect {
         self.reads().contains(&Input::OwnDirection)
     }
 
-    /// Returns what of it a machine runs that is not told the feed while it corrects, as no control and no board is:
+    /// Returns the part of it that a machine runs without the feed, which no control or board knows while it corrects:
     /// the width of one feed where it goes with the feed, else all of it.
     #[must_use]
     pub fn without_feed(&self) -> Self {

@@ -1,6 +1,6 @@
 //! The nonlinear values of a page, and how they may be varied.
 
-/// What a nonlinear value is, and with that how it may be varied.
+/// The kind of a nonlinear value, and with that how it may be varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Nonlinear {
     /// In s, above 0: between the spacing of the rows and three times the longest record.

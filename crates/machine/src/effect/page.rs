@@ -1,4 +1,4 @@
-//! What a cause's page answers, and the words in which it does.
+//! The interface of a cause's page, and the types that it uses.
 //!
 //! ```text
 //! machine file ─► read ─► a cause with its numbers ─► inputs, law ─► what it adds to the prediction
@@ -105,9 +105,9 @@ pub enum Home {
     Elongation,
     /// An axis.
     Axis,
-    /// What follows its own thermometer: the axis if it does, else the tool's growth.
+    /// One with a thermometer of its own: the axis if it has one, else the tool's growth.
     OwnThermometer,
-    /// What is warm: the tool's growth where there is any, else the axis.
+    /// A warm one: the tool's growth where there is any, else the axis.
     Heat,
     /// Whatever is measured.
     Any,
@@ -121,7 +121,7 @@ pub type Entry = (&'static str, Value);
 pub enum Parameter {
     /// A fitted value by its number, with what is to be added to it.
     Fitted(&'static str, usize, f64),
-    /// What is fixed, and so certain.
+    /// A fixed value, and so certain.
     Fixed(&'static str, f64),
     /// A fitted time by its number, as sharp as its neighbours.
     Instant(&'static str, usize),
@@ -131,7 +131,7 @@ pub enum Parameter {
     Record(&'static str, Vec<(&'static str, Option<Value>)>),
     /// A list that has no interval.
     Records(&'static str, Vec<Vec<Entry>>),
-    /// What has no interval.
+    /// A value that has no interval.
     Said(&'static str, Value),
 }
 
@@ -244,10 +244,10 @@ pub struct Constants<'a> {
     pub falling_s: &'a mut Option<f64>,
 }
 
-/// What a term stands in.
+/// The part of the machine's model that a term applies to.
 #[derive(Clone, Copy, Debug)]
 pub struct Host<'a> {
-    /// What the term changes.
+    /// The quantity that the term changes.
     pub quantity: Quantity,
     /// How the spindle grows.
     pub spindle: &'a Spindle,
@@ -278,7 +278,7 @@ impl Host<'_> {
     }
 }
 
-/// What a cause with its numbers answers.
+/// The properties of a cause with its numbers.
 pub trait Page {
     /// Its keys in a `[[term]]`.
     fn entries(&self) -> Vec<Entry>;
@@ -413,7 +413,7 @@ pub trait Page {
     fn parameters(&self, values: &[f64]) -> Vec<Parameter>;
 }
 
-/// What is said of a cause as such.
+/// The properties of a cause as such.
 pub(crate) trait Definition: Page + Sized {
     /// Its name in files: `thermal-lag`.
     const NAME: &'static str;
@@ -440,7 +440,7 @@ pub(crate) trait Definition: Page + Sized {
     /// Proposes what of it the data allow, neutral, with values to begin from.
     fn propose(_survey: &dyn Survey, _with: &mut dyn FnMut(Self, Settings)) {}
 
-    /// Returns the measurement that would tell it from `rival`, a cause's name.
+    /// Returns the measurement that would distinguish it from `rival`, a cause's name.
     fn against(_rival: &str) -> Option<&'static str> {
         None
     }

@@ -137,7 +137,7 @@ impl Definition for PeriodicInTime {
 
     fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
         const FREQUENCIES: usize = 8000;
-        /// What turns less often is a slow law of something else.
+        /// A wave of fewer turns is a slow law of something else.
         const LEAST_TURNS: f64 = 3.0;
         const LEAST_GROUPS: usize = 40;
         let Some([first_s, last_s]) = survey.time_s() else { return };

@@ -1,8 +1,8 @@
-//! What is measured, predicted or corrected.
+//! The quantities that are measured, predicted or corrected.
 
 use crate::file::axis::LinearAxis;
 
-/// What a term, a prediction or a measurement is about.
+/// The quantity that a term, a prediction or a measurement is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Quantity {
     /// How far the tool has grown out of the spindle.

@@ -18,12 +18,12 @@ use super::{
 };
 use crate::{file::read::Section, location::BadInput};
 
-/// What a wave goes with.
+/// The variable of a wave.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Read {
     /// The position of the own axis.
     Position,
-    /// The elongation. What is read is about what is predicted; the reading itself has its own
+    /// The elongation. The prediction is near the reading; the reading itself has its own
     /// noise in it, which a wave of the reading would follow.
     Elongation,
     /// A column of what was read: set up anew, an instrument reads another number at the same

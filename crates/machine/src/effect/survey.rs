@@ -1,4 +1,4 @@
-//! What a page asks of the data before it proposes itself, and where a search begins.
+//! The data that a page asks for before it proposes itself, and the values where a search begins.
 //!
 //! A diagnosis answers; the pages say which causes the machine and the data allow. Nonlinear values
 //! are tried on a grid; the best point is then refined with everything else.
@@ -38,7 +38,7 @@ impl Settings {
     }
 }
 
-/// What a periodic error is looked for over.
+/// The variable over which a periodic error is looked for.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Reading<'a> {
     /// The position of the own axis.

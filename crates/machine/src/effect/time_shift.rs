@@ -4,7 +4,7 @@
 //! p(t − shift), after all else; linear between rows, before the first its value
 //! ```
 //!
-//! What is measured can come late for many reasons: a filter, a slow gauge. It cannot come early but
+//! A measurement can come late for many reasons: a filter, a slow gauge. It cannot come early but
 //! by another clock: a shift below 0 is looked for only where the run has the gauge's own clock next to
 //! `time_s`, `gauge_time_s`.
 

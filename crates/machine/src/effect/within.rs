@@ -1,7 +1,7 @@
 //! A cause that acts only where a recorded input is in a range: "only above 10,500 r/min".
 //!
-//! What is added is that of the cause where the input is in the range, and 0 elsewhere; where the input is missing, so is
-//! the sum. The cause keeps its name.
+//! The term adds what the cause does where the input is in the range, and 0 elsewhere; where the input is missing, so
+//! is the sum. The cause keeps its name.
 
 use super::{
     Effect,
@@ -19,7 +19,7 @@ use crate::{
 /// Most values of an input at which a range may begin.
 const MOST_CUTS: usize = 9;
 
-/// How often an input must pass a bound: in and out three times. What happens once a run is an event of it.
+/// How often an input must pass a bound: in and out three times. A single occurrence is an event of the run.
 const FEWEST_CROSSINGS: usize = 6;
 
 /// Which side of the bound is inside.

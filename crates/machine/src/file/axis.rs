@@ -59,7 +59,7 @@ impl RotaryAxis {
     }
 }
 
-/// What is known of one linear axis.
+/// The model of one linear axis.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AxisModel {
     /// Where its position is measured.
@@ -67,8 +67,8 @@ pub struct AxisModel {
     /// How far it may be sent, in mm of machine coordinates, the lower end first; `None`: not
     /// known. For programs that measure; no correction depends on it.
     pub travel_mm: Option<[f64; 2]>,
-    /// Its rapid traverse in mm a minute, above 0; `None`: not known. What the slew limit and the CNC's positions
-    /// are held against; no correction depends on it.
+    /// Its rapid traverse in mm a minute, above 0; `None`: not known. The slew limit and the CNC's positions
+    /// are held against it; no correction depends on it.
     pub rapid_mm_per_min: Option<f64>,
     /// How it grows with a temperature.
     pub thermal: Option<Thermal>,

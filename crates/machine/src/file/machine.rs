@@ -11,12 +11,12 @@ use crate::{
     location::{BadInput, Locations, shortened},
 };
 
-/// What the user believes about the machine.
+/// The user's model of the machine.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Machine {
     /// The user's name for it.
     pub name: String,
-    /// Its serial number, which tells it from another one of that name.
+    /// Its serial number, which distinguishes it from another one of that name.
     pub serial: Option<String>,
     /// The number of the board's chip, 96 bits, the lowest word first, where the calibration is for that board alone.
     pub board: Option<[u32; 3]>,
@@ -27,11 +27,11 @@ pub struct Machine {
     pub head_axes: Vec<RotaryAxis>,
     /// From the spindle nose to the tool tip with all angles at zero, of length 1.
     pub tool_direction: [f64; 3],
-    /// What is connected to the board; absent where the machine is only used to predict.
+    /// The inputs connected to the board; absent where the machine is only used to predict.
     pub inputs: Option<Inputs>,
     /// How the spindle grows.
     pub spindle: Spindle,
-    /// What is known of X, Y and Z, by [`LinearAxis::index`](crate::file::LinearAxis::index).
+    /// The models of X, Y and Z, by [`LinearAxis::index`](crate::file::LinearAxis::index).
     pub axes: [AxisModel; 3],
     /// The straightness curves; no pair of axes twice.
     pub straightness: Vec<Straightness>,
@@ -43,10 +43,10 @@ pub struct Machine {
     pub limits: Limits,
     /// Thermometers that agree within this in °C belong to a machine that has no heat of its own; 0…5.
     pub cold_within_c: f64,
-    /// What the measuring instrument is worth: the expanded uncertainty of one reading in µm (95 %, above
+    /// The expanded uncertainty of one reading of the measuring instrument in µm (95 %, above
     /// 0), where it is known. The board has no use for it.
     pub instrument_um: Option<f64>,
-    /// What a diagnosis has added, in the order in which it applies.
+    /// The terms that a diagnosis has added, in the order in which they apply.
     pub terms: Vec<Term>,
     /// Where in the file each key stands, for rules that are found broken later.
     pub places: Locations,
@@ -96,7 +96,7 @@ impl Kind {
     }
 }
 
-/// What `[machine]` says.
+/// The contents of `[machine]`.
 pub(super) struct Identity {
     pub name: String,
     pub serial: Option<String>,

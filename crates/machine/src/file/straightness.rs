@@ -68,7 +68,7 @@ pub struct BSpline {
     pub control_um: Vec<f64>,
 }
 
-/// What is wrong with a spline.
+/// A rule that a spline breaks.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SplineFault {
     /// The field at fault, with the index of the element where one is: `knots_mm[3]`.

@@ -1,6 +1,6 @@
 //! `[[term]]`: what a diagnosis has added to the model, one cause a table.
 //!
-//! A term changes the prediction p of one quantity. What its keys are, and what they do, is on the
+//! A term changes the prediction p of one quantity. Its keys, and what they do, are on the
 //! page of its [cause](crate::effect). Terms act in the order of their stages ([`in_order`]).
 //!
 //! `constant_um` is added by any of them: the reference of a measurement is arbitrary. It is among
@@ -15,7 +15,7 @@ use crate::{
 /// One `[[term]]`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Term {
-    /// What it changes.
+    /// The quantity that it changes.
     pub quantity: Quantity,
     /// Added as well, in µm: the reference of the measurement is arbitrary.
     pub constant_um: f64,

@@ -1,7 +1,7 @@
 //! `[spindle.tools]`: how each tool grows with speed, and which number of the CNC is which tool.
 //!
-//! A key is the number that the CNC sends, or a label of the run file's column `tool` with its `number`. What is
-//! added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
+//! A key is the number that the CNC sends, or a label of the run file's column `tool` with its `number`. The growth
+//! that is added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
 
 use super::{
     read::Section,
@@ -27,9 +27,9 @@ pub struct Tools {
 /// One of them; it has a number, a label, or both.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tool {
-    /// What the CNC sends.
+    /// The number that the CNC sends.
     pub number: Option<u16>,
-    /// What the column `tool` of a run calls it.
+    /// Its label in the column `tool` of a run.
     pub label: Option<String>,
     /// In µm for (1000 r/min)².
     pub um_per_krpm2: f64,

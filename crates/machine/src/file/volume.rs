@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{effect::Angle, location::BadInput};
 
-/// What is known of the whole volume. Where the chain is not known, nothing else is.
+/// The model of the whole volume. Where the chain is not known, nothing else is.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Volume {
     /// Which axis carries what.
@@ -49,7 +49,7 @@ impl Volume {
 /// An angular error of a linear axis: EAX has `about` A and `along` X.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Angular {
-    /// What the moving part turns about, right-handed.
+    /// The axis that the moving part turns about, right-handed.
     pub about: RotaryAxis,
     /// The axis that moves.
     pub along: LinearAxis,

@@ -9,7 +9,7 @@
 //! the precision of the measurement would only be in the way, as in long tables, a fit rounds first
 //! ([`rounded`]) and judges the rounded numbers.
 //!
-//! What is written into a user's file is read by [`MachineFile::parse`] before it is handed out.
+//! A user's file that was written into is read by [`MachineFile::parse`] before it is handed out.
 
 mod layout;
 pub(crate) mod section;
@@ -23,18 +23,18 @@ use crate::location::{BadInput, Location};
 
 pub use section::{NewSection, Value, rounded};
 
-/// What changes in a machine file.
+/// The changes in a machine file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Edit {
     /// Sections to replace or to add.
     pub sections: Vec<NewSection>,
     /// Sections or keys to take away, by their dotted names, because they contradict the new ones:
-    /// `axis.x.backlash` next to a new reverse table. What is not there is no error.
+    /// `axis.x.backlash` next to a new reverse table. A name that is not there is no error.
     pub removed: Vec<String>,
     /// Keys to write only where the user has not: section, key, value.
     pub defaults: Vec<(String, &'static str, Value)>,
     /// Tables to write in the place of those of an array of tables, by its name (`term`) and their
-    /// numbers in it, from 0. What is not there is no error.
+    /// numbers in it, from 0. A number that is not there is no error.
     pub replaced: Vec<(usize, NewSection)>,
     /// Tables to add at the end of an array of tables, by its name: `term`.
     pub appended: Vec<NewSection>,

@@ -170,7 +170,7 @@ fn known<'a>(time_s: &'a [f64], shown_c: &'a [f64]) -> (Cow<'a, [f64]>, Cow<'a, 
     (time_s.into(), shown_c.into())
 }
 
-/// What a thermometer shows at any time. Whoever asks goes forward in time, so that each of two ends has a
+/// The readings of a thermometer at any time. Calls go forward in time, so that each of two ends has a
 /// row of its own from which it looks on.
 struct Shown<'a> {
     time_s: &'a [f64],

@@ -1,4 +1,4 @@
-//! What a reversal does to an axis's offset, and whether that goes against the reversal.
+//! The effect of a reversal on an axis's offset, and whether that goes against the reversal.
 //!
 //! A reversal into the negative direction changes an axis's error by B, and its offset by −B. With
 //! B > 0, lost motion, the offset goes the way that the axis has just turned to. With B < 0, a CNC

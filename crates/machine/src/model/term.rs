@@ -58,7 +58,7 @@ pub fn corrected(machine: Cow<'_, Machine>) -> (Cow<'_, Machine>, Falling) {
     (corrected, falling)
 }
 
-/// What the terms of a machine remember from row to row: a lag for each input of a term.
+/// The memory of a machine's terms from row to row: a lag for each input of a term.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TermLags(Vec<Vec<Lag>>);
 

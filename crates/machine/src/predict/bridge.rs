@@ -37,7 +37,7 @@ pub(super) struct Bridge {
 }
 
 impl Bridge {
-    /// The error says why there is none, which keeps nobody from predicting.
+    /// Returns the bridge of a machine. The error says why there is none; a prediction needs none.
     pub(super) fn of(machine: &Machine) -> Result<Self, String> {
         let input = machine.inputs.as_ref().and_then(|inputs| inputs.sensor);
         if machine.spindle.source == Some(ElongationSource::Sensor) && input.is_none() {
@@ -60,8 +60,8 @@ impl Bridge {
     }
 }
 
-/// Returns the machine with a channel for every temperature that its model uses: to predict, nobody need
-/// say how they are connected.
+/// Returns the machine with a channel for every temperature that its model uses: a prediction does not
+/// need to know how they are connected.
 fn with_all_temperatures(machine: &Machine) -> Machine {
     let mut wired = machine.clone();
     let axes = machine.axes.iter().filter_map(|axis| axis.thermal.as_ref());

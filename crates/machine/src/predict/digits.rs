@@ -11,7 +11,7 @@ const WHOLE: f64 = 1e15;
 /// Powers of ten up to the most decimals that are tried.
 const POWERS: [f64; 7] = [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6];
 
-/// What `{value}` prints: the fewest digits that read as the same number.
+/// Writes what `{value}` prints: the fewest digits that read as the same number.
 pub(super) fn write_shortest(out: &mut impl Write, value: f64) -> io::Result<()> {
     for (decimals, power) in POWERS.into_iter().enumerate() {
         let scaled = (value * power).round();
@@ -26,7 +26,7 @@ pub(super) fn write_shortest(out: &mut impl Write, value: f64) -> io::Result<()>
     write!(out, "{value}")
 }
 
-/// What `{value:.6}` prints.
+/// Writes what `{value:.6}` prints.
 pub(super) fn write_micro(out: &mut impl Write, value: f64) -> io::Result<()> {
     /// Below this the product is off by less than 1.3·10⁻⁴, half a unit in its last place.
     const CERTAIN: f64 = (1_u64 << 40) as f64;

@@ -3,7 +3,7 @@
 use super::clock::{Clock, looks_like_date, may_hold_times};
 use crate::location::shortened;
 
-/// What the columns of a file have held so far.
+/// The clock and the form of each column, by the fields read so far.
 pub(super) struct Cells {
     clock: Clock,
     /// By column; `None` before its first value.

@@ -1,7 +1,7 @@
 //! Times as loggers write them, ISO 8601, in seconds from the first one of the file.
 //!
 //! `2026-11-22T08:00:00Z`, with a fraction, with another zone, or without one; a blank may stand for the
-//! `T`. Within a file all have a zone or none has: without one, nobody knows how far they are apart.
+//! `T`. Within a file all have a zone or none has: without one, it is not known how far they are apart.
 
 use time::{OffsetDateTime, PrimitiveDateTime, UtcOffset, format_description::well_known::Iso8601};
 

@@ -1,4 +1,4 @@
-//! What is wrong with a run file, as far as anybody reads: a logger that writes decimal commas has a fault in
+//! The faults of a run file, listed up to a limit: a logger that writes decimal commas has a fault in
 //! every row.
 
 use crate::location::{BadInput, MOST_LISTED};

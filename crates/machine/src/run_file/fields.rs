@@ -1,6 +1,6 @@
 //! A line of a run file split into its fields, each with the column in which it begins.
 //!
-//! The `csv` crate does not tell in which column of its line a field begins, and its line numbers
+//! The `csv` crate does not report in which column of its line a field begins, and its line numbers
 //! lag behind after CRLF and empty lines.
 
 use std::borrow::Cow;
@@ -46,7 +46,7 @@ pub(super) struct BadQuote {
 
 /// The fields of a line, in order; after an error there are no more.
 pub(super) struct Fields<'l> {
-    /// What is not yet split; `None` after the last field.
+    /// The part that is not yet split; `None` after the last field.
     rest: Option<&'l str>,
     separator: char,
     /// The column at which `rest` begins, from 1.

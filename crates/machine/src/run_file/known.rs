@@ -7,7 +7,7 @@ pub struct KnownColumn {
     pub name: &'static str,
     /// Its unit, or the values that it may have; empty where it is a bare number.
     pub unit: &'static str,
-    /// What it is.
+    /// Its meaning.
     pub meaning: &'static str,
 }
 

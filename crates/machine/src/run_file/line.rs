@@ -14,7 +14,7 @@ use crate::{
 /// columns as a file may have.
 const MOST_BYTES_OF_A_LINE: usize = 1 << 20;
 
-/// What cannot be read.
+/// The lines that a fault keeps from being read.
 pub(super) enum Unread {
     /// This line; the next one can be.
     Line(BadInput),

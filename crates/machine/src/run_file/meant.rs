@@ -30,7 +30,7 @@ const KNOWN: [(&str, &str, bool); 20] = [
     ("sensor", "counts", false),
 ];
 
-/// What else each of these units may be: the same quantity in another unit, or another way to write it.
+/// Alternatives to each of these units: the same quantity in another unit, or another way to write it.
 const UNITS: [(&str, &[&str]); 8] = [
     ("s", &["sec", "seconds", "ms", "us", "ns", "min", "minutes", "h", "hours"]),
     ("mm", &["nm", "um", "micron", "microns", "cm", "m", "in", "inch"]),

@@ -1,4 +1,4 @@
-//! At which character of its line each field of a column stands, for whoever is reported that it is wrong: two
+//! At which character of its line each field of a column stands, for reports of its faults: two
 //! bytes a field where lines are of usual length, as a long run has as many of them as of values.
 
 /// The places of a column's fields, row by row, from 1.

@@ -1,4 +1,4 @@
-//! A run file read line by line into columns. What is wrong with a row does not keep the next ones from being
+//! A run file read line by line into columns. A fault in a row does not keep the next ones from being
 //! looked at: all faults of a file are reported at once.
 
 use std::{collections::HashMap, io::BufRead, path::Path, sync::Arc};
@@ -385,7 +385,8 @@ fn help(name: &str) -> String {
 }
 
 /// The time of a logger, if it was one, or seconds of Unix, is `time_s`; where there is one already it is
-/// left out: it explains nothing that `time_s` does not. What is known by then is no slip any more.
+/// left out: it explains nothing that `time_s` does not. A slip goes if its meant column is there by then,
+/// or its own is not.
 fn name_clock(table: &mut Table, cells: &Cells) {
     let mut number = 0;
     let mut has_time_s = table.columns.iter().any(|column| column.name == "time_s");

@@ -7,7 +7,7 @@ use crate::{file::Machine, model::sensor_counts};
 
 /// The column that a record of a bridge has.
 const CRC: &str = "calibration_crc";
-/// What the bridge has made of the sensor's reading, in µm.
+/// The column of the elongation that the bridge has made of the sensor's reading, in µm.
 const ELONGATION: &str = "elongation_um";
 const COUNTS: &str = "sensor_counts";
 

@@ -1,4 +1,4 @@
-//! What a run file holds when it is read, and how much that may be.
+//! The contents of a run file that was read, and their limits.
 
 use std::sync::Arc;
 

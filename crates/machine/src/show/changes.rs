@@ -1,4 +1,4 @@
-//! What differs between two calibrations, in words: which axis, which law, and by how much at most.
+//! The differences between two calibrations, in words: which axis, which law, and by how much at most.
 
 use trueup_core::{
     calibration::{AXIS_PAIRS, AxisModel, Calibration, Mains},

@@ -1,4 +1,4 @@
-//! What `[axis]`, `[straightness]` and `[squareness]` must not say.
+//! Faults in `[axis]`, `[straightness]` and `[squareness]` that are refused.
 
 use crate::{MACHINE, assert_refused};
 

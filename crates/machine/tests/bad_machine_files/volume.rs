@@ -1,4 +1,4 @@
-//! What `chain`, `[angular]`, `[rotary]` and `[tool]` must not say.
+//! Faults in `chain`, `[angular]`, `[rotary]` and `[tool]` that are refused.
 
 use crate::{MACHINE, assert_refused};
 

@@ -19,7 +19,7 @@ use crate::gantry::*;
 /// The bound on the sum of all parts.
 pub const BOUND_NM: f64 = 10.0;
 
-/// What does not depend on the position: one moment of temperatures, sensor and angles.
+/// The inputs that do not depend on the position: one moment of temperatures, sensor and angles.
 pub struct Moment {
     time_s: f64,
     reading: Reading,

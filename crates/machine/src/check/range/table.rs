@@ -16,7 +16,7 @@ pub struct Range {
     pub hard: [f64; 2],
     /// Outside, it is unlikely.
     pub likely: [f64; 2],
-    /// What machines have.
+    /// The range that is usual for machines.
     pub usual: [f64; 2],
     /// The source, or the reason.
     pub source: &'static str,

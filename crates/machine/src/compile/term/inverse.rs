@@ -1,7 +1,7 @@
 //! The board's terms back to `[[term]]` tables.
 //!
 //! A calibration does not know which of two causes with the same formula it came from: a form is
-//! shown as the first of the list that has it, each wave on its own. What was corrected in the
+//! shown as the first of the list that has it, each wave on its own. A correction of the
 //! machine's constants is shown there.
 
 use trueup_core::{

@@ -1,4 +1,4 @@
-//! What a dependence on a column is multiplied by.
+//! The factors that a dependence on a column is multiplied by.
 
 use crate::{
     effect::{

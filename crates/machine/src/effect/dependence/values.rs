@@ -1,4 +1,4 @@
-//! What the values of a column are: a category, a quantity with a zero, a range in which a line may bend.
+//! The kinds of values of a column: a category, a quantity with a zero, a range in which a line may bend.
 
 use std::ops::RangeInclusive;
 

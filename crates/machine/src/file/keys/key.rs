@@ -1,23 +1,23 @@
-//! What a key of the machine file is, and how one is declared.
+//! The keys of the machine file: what a key is, and how one is declared.
 
 /// A key of a section.
 #[derive(Clone, Copy, Debug)]
 pub struct Key {
     /// Its name; `<name>` stands for any word.
     pub name: &'static str,
-    /// What may stand there.
+    /// The form of its value.
     pub form: Form,
     /// Whether it must.
     pub need: Need,
     /// Its unit; empty where there is none.
     pub unit: &'static str,
-    /// What it is, a sentence without its full stop.
+    /// Its meaning, a sentence without its full stop.
     pub meaning: &'static str,
     /// A value, as TOML; empty for a section.
     pub example: &'static str,
 }
 
-/// What may stand at a key.
+/// The form of a key's value.
 #[derive(Clone, Copy, Debug)]
 pub enum Form {
     /// Any string.
