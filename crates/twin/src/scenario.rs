@@ -30,7 +30,7 @@ pub const MOST_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
 pub const SHORTEST_STEP_S: f64 = 1e-3;
 
-/// What is measured.
+/// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Quantity {

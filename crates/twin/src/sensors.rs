@@ -1,4 +1,4 @@
-//! What the machine's own sensors make of the truth.
+//! The machine's own sensors: their readings of the truth.
 //!
 //! A displacement sensor, in this order:
 //!
@@ -8,7 +8,7 @@
 //! counts = nearest whole number of zero_counts + v/um_per_count, held to 0…full_scale_counts
 //! ```
 //!
-//! What is left of run-out after averaging over turns has another phase in each row. A thermometer has
+//! The run-out that is left after averaging over turns has another phase in each row. A thermometer has
 //! a lag, an offset, noise and a last digit. Any cell may be missing.
 
 use std::collections::VecDeque;

@@ -211,7 +211,7 @@ impl SpindleConfig {
     }
 }
 
-/// What surrounds the spindle and drives it, over one step.
+/// The surroundings and the drive of the spindle over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
     /// Speed in r/min.
@@ -377,7 +377,7 @@ impl Spindle {
         self.holder_c = ambient_c;
     }
 
-    /// Returns the shaft, for whoever keeps an account of its heat.
+    /// Returns the shaft, for an account of its heat.
     #[must_use]
     pub fn shaft(&self) -> &Rod {
         &self.shaft
