@@ -32,7 +32,7 @@ pub enum Kind {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Segment {
-    /// What it does.
+    /// The kind of piece.
     pub kind: Kind,
     /// Speed of the spindle in r/min.
     #[serde(default)]

@@ -31,11 +31,11 @@ pub struct DisplacementConfig {
     pub um_per_count: f64,
     /// The largest count; the smallest is 0.
     pub full_scale_counts: f64,
-    /// What it shows of 1 µm.
+    /// Gain: its reading of 1 µm.
     pub gain: f64,
-    /// What it shows beyond that, in µm per µm².
+    /// The quadratic term of its reading, in µm per µm².
     pub curvature_per_um: f64,
-    /// What it shows for 1 K of its coil, in µm.
+    /// Drift with the temperature of its coil, in µm/K.
     pub coil_um_per_c: f64,
     /// The coil temperature at which it is right, in °C.
     pub coil_reference_c: f64,
@@ -43,7 +43,7 @@ pub struct DisplacementConfig {
     pub delay_s: f64,
     /// Time constant of its filter in s; at least 0.
     pub lag_s: f64,
-    /// What is left of the run-out, amplitude in µm.
+    /// Amplitude of the run-out that is left, in µm.
     pub runout_um: f64,
     /// White noise in µm, standard deviation.
     pub noise_um: f64,
