@@ -16,9 +16,9 @@ use std::{
 #[path = "../../commit.rs"]
 mod commit;
 
-/// What is carried, with the constant of `carried.rs` that names it.
+/// Names of the carried images; a constant of `carried.rs` names one, too.
 const IMAGES: [&str; 3] = ["trueup-virtual.elf", "trueup-stm32f405.elf", "trueup-stm32f405.bin"];
-/// What the images are built from.
+/// Sources of the images.
 const SOURCES: [&str; 15] = [
     "Cargo.lock",
     "build.rs",

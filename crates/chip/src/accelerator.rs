@@ -1,4 +1,4 @@
-//! What the flash costs the processor: wait states, less what the accelerator's instruction cache saves.
+//! The cost of the flash in processor time: wait states, less those that the accelerator's instruction cache saves.
 //!
 //! RM0090 3.5.1: a read of the flash takes LATENCY wait states and brings 128 bits. 3.5.2: of those the
 //! cache keeps 64 lines, and the one that was least recently used goes; what it holds costs nothing; the

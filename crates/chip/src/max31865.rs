@@ -6,7 +6,7 @@ use crate::time::{NEVER, ms};
 /// A converter for one platinum thermometer.
 #[derive(Clone, Debug, Default)]
 pub struct Rtd {
-    /// What it measures; `None`: the wire is broken.
+    /// The measured temperature; `None`: the wire is broken.
     pub celsius: Option<f64>,
     pub(crate) config: u8,
     pub(crate) data: u16,

@@ -1,6 +1,6 @@
 //! The processor, and the only file that names its crate: another Cortex-M4F can take its place here.
 //!
-//! What the rest needs of it is small: step, sleep, stand still, interrupt lines, and memories that it
+//! The rest needs little of it: step, sleep, stand still, interrupt lines, and memories that it
 //! shares with the DMA. It is `rsemu`'s (Thumb-2, DSP, FPv4-SP, NVIC, SysTick, DWT's cycle counter).
 
 use rsemu::core::space::{

@@ -62,7 +62,7 @@ pub struct Masked {
     pub pc: u32,
 }
 
-/// What is watched beyond the chip itself.
+/// Options of a run: what is watched beyond the chip itself.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
     /// How long interrupts are held off, and how long what the program raises waits.
@@ -102,7 +102,7 @@ pub struct Board {
     pub sleeps: u64,
     /// Instructions and exceptions.
     pub steps: u64,
-    /// What the image has logged, as a probe reads it.
+    /// The log of the image, as a probe reads it.
     pub log: Vec<u8>,
     /// The longest times for which interrupts were held off, in no order.
     pub masks: Vec<Masked>,

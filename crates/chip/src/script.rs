@@ -1,5 +1,5 @@
-//! What a script (`--script FILE`) makes of the world outside: a line is `MS KEY VALUE…`. What the board
-//! says goes to `--log FILE`, and nothing of what is inside it.
+//! The world outside by a script (`--script FILE`): a line is `MS KEY VALUE…`. The board's output
+//! goes to `--log FILE`, and nothing of what is inside it.
 
 use crate::time::ms;
 use std::collections::VecDeque;

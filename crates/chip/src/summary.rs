@@ -1,4 +1,4 @@
-//! What the program prints of a run: what the units did, and what the wires said.
+//! The summary that the program prints of a run: what the units did, and what the wires said.
 
 use crate::{
     chip::Chip,
@@ -94,7 +94,7 @@ pub fn summary(c: &Chip, quiet: bool) {
 /// The frames of each identifier, with their times.
 type Frames<'f> = BTreeMap<u32, Vec<(u64, &'f Frame)>>;
 
-/// What each unit has done.
+/// Prints the figures of each unit.
 fn units(c: &Chip) {
     let lamp = c.world.lamp.len();
     let adc = &c.adc.unit[0];

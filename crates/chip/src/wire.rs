@@ -7,7 +7,7 @@ use std::{
     net::{TcpListener, TcpStream},
 };
 
-/// What a character has between its eight bits and its stop.
+/// Parity of a character: the bit between its eight bits and its stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Parity {
     None,
@@ -22,14 +22,14 @@ pub struct Wire {
     pub stop_bits: u32,
     /// The pin that has to be high for what the board sends to reach it: port, pin.
     pub drive: Option<(usize, u32)>,
-    /// What the board has said, and when.
+    /// Bytes from the board, each with its time.
     pub heard: Vec<(u64, u8)>,
-    /// What the host says, and from when on.
+    /// Bytes from the host, each with the time from which on it is due.
     pub to_board: VecDeque<(u64, u8)>,
     /// Where a client may be the host.
     pub port: Option<TcpListener>,
     client: Option<TcpStream>,
-    /// What the client has still to be given.
+    /// Bytes not yet given to the client.
     owed: Vec<u8>,
 }
 

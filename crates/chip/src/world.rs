@@ -1,4 +1,4 @@
-//! What is outside the chip: the sensor, the thermometers, the CNC on the bus, the host on the serial line.
+//! The world outside the chip: the sensor, the thermometers, the CNC on the bus, the host on the serial line.
 
 use crate::{
     frame::{Frame, protected},
@@ -27,7 +27,7 @@ fn part(state: &mut u64) -> f64 {
     (*state >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// What the run plays.
+/// The inputs of a run and their times.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Mean code of the sensor before and after the step.

@@ -35,10 +35,10 @@ pub struct Accept {
     /// No error may be larger, in µm.
     #[arg(long, value_name = "UM", value_parser = crate::diagnose::above_zero)]
     limit_um: Option<f64>,
-    /// What to compare, where the runs measure several quantities.
+    /// The quantity to compare, where the runs measure several.
     #[arg(long)]
     quantity: Option<Quantity>,
-    /// The machine file that the bridge ran: with it you are told which constants to change.
+    /// The machine file that the bridge ran: with it the answer says which constants to change.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     /// The folder for acceptance.json, report.html and, where a constant is to be changed, adjusted.toml.

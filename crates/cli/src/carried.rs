@@ -11,7 +11,7 @@ pub const VIRTUAL: &str = "trueup-virtual.elf";
 
 /// Name and bytes of each; none in a build for tests, or where they could not be built.
 const CARRIED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/carried.rs"));
-/// Where `cargo xtask images` puts them, in the tree that this tool was built from. What is handed out knows no folder
+/// Where `cargo xtask images` puts them, in the tree that this tool was built from. A release build knows no folder
 /// of the computer that built it, or it would be another file on each.
 const BUILT: &str = if cfg!(debug_assertions) {
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/carried")

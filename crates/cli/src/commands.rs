@@ -1,5 +1,5 @@
-//! The lines that a command tells its user to type next: whole, with the files that it has written, so that they run as
-//! they are printed.
+//! The lines that a command prints for its user to type next: whole, with the files that it has written, so that they
+//! run as they are printed.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use trueup_output::escape::shell_word;
 
 use crate::output;
 
-/// What stands for a port that only the user knows.
+/// Placeholder of a port that only the user knows.
 const PORT: &str = "--port PORT";
 
 fn word(path: &Path) -> String {

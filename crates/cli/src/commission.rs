@@ -9,10 +9,10 @@
 //!
 //! A spindle is commissioned by a warm-up, an axis by its pitch or its backlash: the steps are the same.
 //!
-//! What the board held before the sign test is saved first and put back after it (`before`).
+//! The content of the board before the sign test is saved first and put back after it (`before`).
 //!
 //! Each step is a command of this tool, which the log repeats word by word, so that a colleague can do it by
-//! hand. What was done stands in `commission.json`: the same command goes on where it stopped.
+//! hand. The progress stands in `commission.json`: the same command goes on where it stopped.
 
 mod answers;
 mod before;
@@ -52,7 +52,7 @@ use crate::{
 /// Exit 3: it has stopped before the end: an answer is missing, the sign is wrong, or it is not accepted yet.
 #[derive(Args)]
 pub struct Commission {
-    /// What is commissioned; left out, the growth of the spindle that the machine file describes.
+    /// The kind of commissioning; left out, the growth of the spindle that the machine file describes.
     kind: Option<What>,
     /// The axis, for pitch and backlash.
     #[arg(long, value_name = "x|y|z", value_parser = axis)]
@@ -80,7 +80,7 @@ pub struct Commission {
     heat_s: Option<f64>,
     #[command(flatten)]
     motion: Motion,
-    /// The answers from here on, a line each, for whoever is not at the terminal.
+    /// The answers from here on, a line each, if you are not at the terminal.
     #[arg(long, value_name = "FILE")]
     readings: Option<PathBuf>,
 }
@@ -100,7 +100,7 @@ fn axis(name: &str) -> Result<LinearAxis, String> {
     found.ok_or_else(|| "must be x, y or z".into())
 }
 
-/// What is commissioned, with its axis.
+/// The kind of commissioning, with its axis.
 #[derive(Clone, Copy)]
 enum Subject {
     Spindle,
@@ -133,7 +133,7 @@ impl Subject {
         }
     }
 
-    /// What would be found out only after the sign test: that its program cannot be made.
+    /// Checks, before the sign test, that its program can be made.
     fn has_program(self, args: &Commission, machine: &Machine) -> Result<(), UserError> {
         let kind = match self {
             Self::Spindle => Kind::Warmup,

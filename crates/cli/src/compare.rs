@@ -29,7 +29,7 @@ pub struct Compare {
     /// The later one.
     #[arg(value_name = "B.csv")]
     b: PathBuf,
-    /// What to compare, where the runs measure several quantities.
+    /// The quantity to compare, where the runs measure several.
     #[arg(long)]
     quantity: Option<Quantity>,
     /// The machine file: the expansion of its axes is taken off both runs.

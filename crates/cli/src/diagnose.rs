@@ -35,8 +35,8 @@ use crate::{
 pub struct Diagnose {
     #[command(flatten)]
     input: Input,
-    /// Also plan the shortest run, of the spindle or of the axis, that tells open causes apart: next.csv to be filled in, next.json, and
-    /// the program for this control.
+    /// Also plan the shortest run, of the spindle or of the axis, that distinguishes open causes: next.csv to be filled
+    /// in, next.json, and the program for this control.
     #[arg(long, value_name = "CONTROL")]
     next: Option<crate::program::For>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
@@ -49,7 +49,7 @@ pub struct Diagnose {
     out: PathBuf,
 }
 
-/// What is diagnosed, and what is asked of it.
+/// Input and options of a diagnosis.
 #[derive(Args)]
 pub struct Input {
     /// The machine file: what is believed.
@@ -67,13 +67,13 @@ pub struct Input {
     /// A run that nothing is fitted to: it measures what the extension brings.
     #[arg(long, value_name = "H.csv")]
     pub holdout: Vec<PathBuf>,
-    /// What to compare, where the runs measure several quantities.
+    /// The quantity to compare, where the runs measure several.
     #[arg(long)]
     pub quantity: Option<Quantity>,
     /// The size of an error that matters, in µm RMS; by default what is left.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     pub matters_um: Option<f64>,
-    /// What the measuring instrument is worth, in µm (95 %), in the place of the machine file's.
+    /// The expanded uncertainty of the measuring instrument, in µm (95 %), in the place of the machine file's.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     pub instrument_um: Option<f64>,
 }
@@ -228,7 +228,7 @@ fn warn_of_board(
 }
 
 /// Why `compile` will refuse `extended`: a correction is too steep, or something else that is not in
-/// `believed`. A machine file that it refuses already, as one without `[inputs]`, tells no more.
+/// `believed`. A machine file that it refuses already, as one without `[inputs]`, shows no more.
 fn refused(believed: &Machine, extended: &Machine) -> Option<BadInput> {
     let too_steep = check_slopes(extended).err();
     too_steep.or_else(|| compile(believed).ok().and_then(|_| compile(extended).err()))

@@ -17,7 +17,7 @@ macro_rules! files {
     };
 }
 
-/// What is written.
+/// The files to write.
 const EXAMPLES: &[&[(&str, &[u8])]] = &[
     files!("data/" => "": "README.md" "gantry.toml" "paper_spindle.toml" "scenario-axis.toml"
         "scenario-lathe.toml" "scenario-mill.toml" "scenario-warmup.toml" "spindle_paper_table1.csv"),

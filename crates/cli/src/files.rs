@@ -18,7 +18,7 @@ use crate::{UserError, report, runs, summary};
 static ACCEPTED: OnceLock<Vec<String>> = OnceLock::new();
 
 thread_local! {
-    /// What was accepted when the job of this thread was submitted.
+    /// Keys and columns accepted when the job of this thread was submitted.
     static ACCEPTED_FOR_JOB: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 

@@ -319,7 +319,7 @@ fn warn_of_text(machine: Option<&Machine>, text: &str, path: &Path) -> Result<()
     Ok(())
 }
 
-/// A fit does not know how far it is: the time that has passed, where somebody watches.
+/// Returns a spinner with the time that has passed, if there is a terminal: a fit does not know how far it is.
 fn spinner(what: &'static str, bytes: u64) -> ProgressBar {
     if bytes < runs::LONG_RUN_BYTES / 8 || !trueup_output::is_error_terminal() {
         return ProgressBar::hidden();

@@ -80,7 +80,7 @@ pub struct Status {
 
 /// Shows what the results say of the series: common constants, odd and drifting machines, the next measurement.
 ///
-/// What is on a server is copied to OUT/copy first, the result of each job among it. Exit 3: a machine is unlike the
+/// Files on a server are copied to OUT/copy first, the result of each job among them. Exit 3: a machine is unlike the
 /// others, or drifts.
 #[derive(Args)]
 pub struct Diagnose {

@@ -1,4 +1,4 @@
-//! `trueup gateway`: the bridge for controls with a PLC. What it does is in `trueup-gateway`.
+//! `trueup gateway`: the bridge for controls with a PLC. Its work is done in `trueup-gateway`.
 
 use std::{
     env,
@@ -30,7 +30,7 @@ use trueup_machine::compile;
 
 use crate::{Outcome, UserError, files, output};
 
-/// How often is looked whether there is something to tell.
+/// How often a message to the user is looked for.
 const LOOK: Duration = Duration::from_millis(50);
 /// How long `--once` waits for the first valid offsets, and for the PLC.
 const ONCE: Duration = Duration::from_secs(5);
@@ -45,7 +45,7 @@ pub enum Command {
         #[command(flatten)]
         bridge: Bridge,
         /// Where masters connect. Only this computer's reach it unless you name another address:
-        /// whoever reaches it can engage the bridge.
+        /// anyone who reaches it can engage the bridge.
         #[arg(long, value_name = "ADDR:PORT", default_value = "127.0.0.1:502")]
         listen: String,
         /// Answers a master on this serial port instead, in RTU mode.
@@ -81,8 +81,8 @@ pub enum Command {
         /// The CPU's slot: 2 in a 300 and an 840D sl, 1 or 0 in a 1500.
         #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=31))]
         slot: u8,
-        /// What is written: the offsets, or the constant and the slope of each axis, which the NCK multiplies by its own
-        /// position. For long axes that warm up; it needs a PLC program with slopes (trueup_ob1_slope.awl).
+        /// Values to write: the offsets, or the constant and the slope of each axis, which the NCK multiplies by its
+        /// own position. For long axes that warm up; it needs a PLC program with slopes (trueup_ob1_slope.awl).
         #[arg(long, value_enum, default_value_t = Mode::Offsets)]
         mode: Mode,
         /// How often a second it is written.

@@ -1,4 +1,4 @@
-//! `trueup import`: a table of a spreadsheet, a logger or an instrument as a run file. What was understood is printed;
+//! `trueup import`: a table of a spreadsheet, a logger or an instrument as a run file. Its interpretation is printed;
 //! what only the user knows is asked on a terminal, and named as a flag elsewhere.
 
 use std::{
@@ -36,7 +36,7 @@ pub struct Import {
     /// Where to write the run file; `-` is standard output.
     #[arg(long, value_name = "RUN.csv")]
     output: PathBuf,
-    /// What was answered once for files of this kind: read if it is there, written or completed by the answers.
+    /// The answers for files of this kind: read if it is there, written or completed by new answers.
     #[arg(long, value_name = "MAP.toml")]
     map: Option<PathBuf>,
     /// The sign before the decimals.

@@ -23,15 +23,15 @@ use crate::{
     report,
 };
 
-/// What is known grows by some kilobytes with each change; what is larger is another file.
+/// A state grows by some kilobytes with each change; a larger file is none.
 const MOST_BYTES: u64 = 256 << 20;
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
 ///
 /// The readings are the rows of a record in which measured_…_um has a value: of a probe on a ball or a block, a
 /// tool setter, a laser barrier. Your machine file stays as it is; what was learned is written to another one,
-/// and what is known to a .learn.json next to that. Load the new file when the machine is at rest; what [limits.learned] permits
-/// trueup linuxcnc --learned tells the bridge while it runs.
+/// and what is known to a .learn.json next to that. Load the new file when the machine is at rest; what
+/// [limits.learned] permits trueup linuxcnc --learned sends to the bridge while it runs.
 ///
 /// The state belongs to one machine (its serial number, else its name) and one quantity. Comments, limits and other keys of
 /// your machine file change nothing in it; a constant that you change begins anew alone.
@@ -46,13 +46,13 @@ pub struct Learn {
     /// A record with readings, in the order in which they were taken; - is standard input.
     #[arg(long, value_name = "RUN.csv", required_unless_present = "undo")]
     run: Vec<PathBuf>,
-    /// What was probed just now, in µm: a reading for the last row of the record, which is not older than a minute.
+    /// A value probed just now, in µm: a reading for the last row of the record, which is not older than a minute.
     #[arg(long, value_name = "UM", requires = "run", allow_negative_numbers = true, value_parser = finite)]
     reading_um: Option<f64>,
     /// The machine file with what was learned.
     #[arg(long, value_name = "LEARNED.toml")]
     output: PathBuf,
-    /// What is learned, where the record measures several quantities.
+    /// The quantity to learn, where the record measures several.
     #[arg(long)]
     quantity: Option<Quantity>,
     /// No constant changes by more than this much of itself, in percent.
@@ -278,7 +278,7 @@ fn said(learned: &Learned, live: Option<&Live>) -> Value {
     })
 }
 
-/// What of it a bridge that runs on the user's file can be told; a file that is not for a board says nothing.
+/// Prints the parts that a bridge on the user's file can take; nothing for a file that is not for a board.
 fn print_live(live: Option<Live>) -> Result<()> {
     let Some(Live { amounts, rest }) = live else { return Ok(()) };
     if let Some(text) = live::text(&amounts.map(i32::from)) {

@@ -166,7 +166,7 @@ enum Outcome {
     NotMet,
 }
 
-/// What the user has to mend and has no line and column, as `BadInput` has: a blob, a folder.
+/// An error that the user has to mend and that has no line and column, as `BadInput` has: of a blob, a folder.
 #[derive(Debug)]
 struct UserError(String);
 

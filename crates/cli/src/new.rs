@@ -53,7 +53,7 @@ pub struct New {
     /// The displacement sensor's µm for one volt, from its data sheet; without it there is none.
     #[arg(long, value_name = "UM", value_parser = questions::not_zero, allow_hyphen_values = true)]
     sensor_um_per_v: Option<f64>,
-    /// What a voltmeter shows at the sensor when the machine is cold, in V; by default half of its range.
+    /// The voltage at the sensor when the machine is cold, in V; by default half of its range.
     #[arg(long, value_name = "V", value_parser = questions::finite)]
     sensor_zero_v: Option<f64>,
     /// The sensor's output at the end of its range, in V; by default 10.

@@ -1,4 +1,4 @@
-//! What a report was made from: version, day and files.
+//! The origin of a report: version, day and files.
 
 use std::{
     fs::File,

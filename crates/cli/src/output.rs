@@ -1,4 +1,4 @@
-//! What the tool leaves behind: files that are whole or untouched, and results on standard output.
+//! The output of the tool: files that are whole or untouched, and results on standard output.
 //! Diagnostics go through `trueup_output::diagnostic` or `report`.
 
 use std::{
@@ -182,7 +182,7 @@ fn kept(target: &Path, is_wanted: bool) -> io::Result<Option<TempPath>> {
     Ok(Some(name))
 }
 
-/// Refuses to write over a run file that is there with anything else in it than `text`: somebody has filled it in, and
+/// Refuses to write over a run file that is there with anything else in it than `text`: it may have been filled in, and
 /// that is hours of work.
 pub fn check_measurement(path: &Path, text: &str) -> Result<(), UserError> {
     let is_run = path.extension().is_some_and(|kind| kind == "csv");

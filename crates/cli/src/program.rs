@@ -29,7 +29,7 @@ use crate::{
 /// give. Run it in the air, with a hand on the feed override, before you trust it with a gauge.
 #[derive(Args)]
 pub struct Program {
-    /// What is to be measured.
+    /// The kind of measurement.
     kind: What,
     /// The machine file; its travel_mm say how far the axes may go.
     #[arg(long, value_name = "M.toml")]
@@ -57,7 +57,7 @@ pub struct Program {
     /// From target to target, in mm.
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
-    /// What it is measured with. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
+    /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
     /// left out, a gauge that does not touch; with a dial the spindle stops for each reading.
     #[arg(long)]
     gauge: Option<By>,
@@ -200,7 +200,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
 }
 
 /// Returns the commands of a plan as they can be typed: with the folder of their files, the machine file, and where to
-/// write. What comes after a fit goes by the fitted file.
+/// write. The lines after a fit take the fitted file.
 fn whole_lines(then: &[String], args: &Program) -> Vec<String> {
     let word = |path: &Path| shell_word(&path.to_string_lossy()).to_string();
     let mut machine = args.machine.clone();

@@ -11,7 +11,7 @@ use trueup_machine::{
 /// As many channels has the board.
 const MOST_THERMOMETERS: usize = LAST_CHANNEL as usize + 1;
 
-/// What the flags have said: it is not asked for.
+/// Questions that the flags have answered: they are not asked.
 pub struct Said {
     pub name: bool,
     pub kind: bool,
@@ -105,10 +105,10 @@ enum Answer<T> {
     Back,
 }
 
-/// What is typed, or chosen, to go back.
+/// The text to type, or to choose, to go back.
 const BACK: &str = "<";
 
-/// Returns the template with the answers in it; an empty answer keeps what is offered. What cannot be is asked for
+/// Returns the template with the answers in it; an empty answer keeps what is offered. A wrong answer is asked for
 /// again at once, and `<` goes back: no answer is typed twice. `check_name` refuses a name.
 pub fn ask(
     mut template: Template,

@@ -29,7 +29,7 @@ use serde_json::json;
 use trueup_machine::{BadInput, Location, check::Warning};
 use trueup_output::escape::{is_unsafe, one_line};
 
-/// How the user wants to be told.
+/// The form and the extent of the messages to the user.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Manner {
     /// In objects.
@@ -42,18 +42,18 @@ pub struct Manner {
 
 static MANNER: OnceLock<Manner> = OnceLock::new();
 
-/// Says once, at the start, how the user wants to be told.
+/// Sets, once at the start, the form and the extent of the messages.
 pub fn set(manner: Manner) {
     // A second time cannot be: there is one command line.
     _ = MANNER.set(manner);
 }
 
-/// Returns how the user wants to be told.
+/// Returns the form and the extent of the messages.
 pub fn manner() -> Manner {
     MANNER.get().copied().unwrap_or_default()
 }
 
-/// What is doubted in a file is of no use to the user just now.
+/// Whether warnings about a file are of no use to the user just now.
 static NO_DOUBTS: AtomicBool = AtomicBool::new(false);
 
 /// Returns what `command` comes to; what it doubts in its files is said only if it is `of_use`.
@@ -96,7 +96,7 @@ pub fn warning(Warning { place, what, help }: &Warning) {
     say(Level::WARNING, what, Some(place), help);
 }
 
-/// What is doubted in `file`, each on one line, and where there is more to read about it.
+/// Prints the warnings about `file`, each on one line, and where there is more to read about it.
 pub fn in_short(file: &Path, warnings: &[Warning]) {
     if manner().quiet || NO_DOUBTS.load(Ordering::Relaxed) {
         return;
@@ -117,7 +117,7 @@ pub fn in_short(file: &Path, warnings: &[Warning]) {
     }
 }
 
-/// What is worth a remark in a file and needs nothing done, each on one line.
+/// Prints the remarks on a file that need nothing done, each on one line.
 pub fn remarks(remarks: &[Warning]) {
     if manner().quiet || NO_DOUBTS.load(Ordering::Relaxed) {
         return;

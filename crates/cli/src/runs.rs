@@ -1,5 +1,5 @@
-//! Run files read with a progress bar, where one is long and somebody watches; a table that is none, but that `import`
-//! reads, is refused with the line to type.
+//! Run files read with a progress bar, where one is long and there is a terminal; a table that is none, but that
+//! `import` reads, is refused with the line to type.
 
 use std::{io::BufReader, path::Path};
 
@@ -65,7 +65,7 @@ pub fn bytes(path: &Path) -> u64 {
     path.metadata().map_or(0, |metadata| metadata.len())
 }
 
-/// Returns a bar of `steps` on standard error; none for a short run, or where nobody watches.
+/// Returns a bar of `steps` on standard error; none for a short run, or without a terminal.
 pub fn progress(what: &'static str, steps: u64, run_bytes: u64) -> ProgressBar {
     if run_bytes < LONG_RUN_BYTES {
         return ProgressBar::hidden();

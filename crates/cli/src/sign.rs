@@ -21,7 +21,7 @@ const MOST_BYTES: u64 = 1 << 30;
 /// A key in PEM has some hundred.
 const MOST_OF_A_KEY: u64 = 10_000;
 
-/// Signs files (Ed25519), so that whoever gets them can check from whom they are: FILE.sig next to each.
+/// Signs files (Ed25519), so that the receiver can check from whom they are: FILE.sig next to each.
 ///
 /// openssl checks the same signatures: openssl pkeyutl -verify -pubin -inkey KEY.pub.pem -rawin -in FILE -sigfile FILE.sig
 ///

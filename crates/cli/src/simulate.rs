@@ -62,7 +62,7 @@ pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Returns a bar on standard error; none for a short run, or where nobody watches.
+/// Returns a bar on standard error; none for a short run, or without a terminal.
 fn progress(rows: f64) -> ProgressBar {
     if rows < LONG_RUN_ROWS {
         return ProgressBar::hidden();

@@ -1,4 +1,4 @@
-//! What a machine file will do, in words.
+//! The effect of a machine file, in words.
 
 use trueup_machine::{
     Machine,

@@ -27,7 +27,7 @@ pub struct Trend {
     /// The folder with the files, .csv and .toml.
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// A change that matters, in the unit of the constant; left out, what one measurement can tell.
+    /// A change that matters, in the unit of the constant; left out, the smallest that one measurement can show.
     #[arg(long, value_name = "UM", value_parser = above_zero)]
     limit_um: Option<f64>,
     /// The machine file: the expansion of its axes is taken off run files that have a temperature.
@@ -52,7 +52,7 @@ fn today() -> Option<dated::Day> {
     dated::Day::try_from(since.as_secs() / 86_400).ok()
 }
 
-/// Reads the folder and tells the trends.
+/// Reads the folder and reports the trends.
 pub fn run(args: &Trend, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", args.folder.display()));
     let entries =

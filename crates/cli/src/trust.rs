@@ -15,9 +15,9 @@ use crate::{
 
 /// Watches whether a record still fits the machine file, and says which measurement to take where it does not.
 ///
-/// What is measured is compared with the model; where nothing is, the displacement sensor with the model of temperature or
-/// of time that the file has too, whichever of them is the source. The usual scatter is taken from a record of the time when
-/// the calibration was right. Bad readings raise no alarm, there or here: they are listed.
+/// Readings are compared with the model; where there are none, the displacement sensor with the model of temperature or
+/// of time that the file has too, whichever of them is the source. The usual scatter is taken from a record of the time
+/// when the calibration was right. Bad readings raise no alarm, there or here: they are listed.
 ///
 /// Exit 3: the calibration no longer fits.
 #[derive(Args)]
@@ -31,7 +31,7 @@ pub struct Watch {
     /// The record to look at.
     #[arg(long, value_name = "RUN.csv")]
     run: PathBuf,
-    /// What to look at, where the records measure several quantities.
+    /// The quantity to look at, where the records measure several.
     #[arg(long)]
     quantity: Option<Quantity>,
     /// This many hours of records pass on average between two false alarms.

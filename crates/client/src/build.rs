@@ -23,7 +23,7 @@ pub struct Build {
 }
 
 impl Build {
-    /// Of a tool, as its build script tells it: `commit` in 8 hexadecimal digits; anything else is not known.
+    /// Returns the build of a tool, as its build script gives it: `commit` in 8 hexadecimal digits; otherwise unknown.
     #[must_use]
     pub fn new(version: &str, commit: &str) -> Self {
         Self { version: version.into(), commit: u32::from_str_radix(commit, 16).ok() }

@@ -1,4 +1,4 @@
-//! What the CNC says to the bridge, where it can be received: on a CAN bus, not on the bridge's own
+//! The CNC's messages to the bridge, where they can be received: on a CAN bus, not on the bridge's own
 //! serial line.
 
 use trueup_core::{
@@ -7,7 +7,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, receiver::Receiver};
 
-/// What the CNC has said counts for so long, in ms of the bridge.
+/// How long a value from the CNC counts, in ms of the bridge.
 const TIMEOUT_MS: u64 = 500;
 /// Its columns of a run file; two angles come after them, whose names the machine file knows.
 pub(crate) const COLUMNS: [&str; 8] =
@@ -16,7 +16,7 @@ pub(crate) const COLUMNS: [&str; 8] =
 const DECIMALS: [usize; VALUES] = [0, 0, 5, 5, 5, 0, 0, 0, 4, 4];
 const VALUES: usize = COLUMNS.len() + 2;
 
-/// What the CNC has said, where it can be received: the values of its columns of a run file and two angles, and when.
+/// The CNC's state, where it can be received: the values of its columns of a run file and two angles, and when.
 #[derive(Default)]
 pub struct Cnc {
     receiver: Receiver,

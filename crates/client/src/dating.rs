@@ -29,7 +29,7 @@ use trueup_link::{
 
 /// From one question to the next.
 const ASKED_EVERY: Duration = Duration::from_millis(20);
-/// What can be older than this is not used: twice the silence after which a bridge counts as lost.
+/// A frame that can be older than this is not used: twice the silence after which a bridge counts as lost.
 pub(crate) const LATE: Duration = Duration::from_millis(200);
 /// Nothing is sent into a line that has not answered for so long: what is on its way into a line that stalls is executed
 /// when it goes on, so it is to be little, five frames of `Control`.
@@ -50,7 +50,7 @@ const MAX_PER_WINDOW: u32 = 4 * WINDOW.as_millis() as u32 / OFFSET_PERIOD_MS / 3
 /// The questions, and the first letter of their answers.
 const QUESTIONS: [(&[u8], u8); 2] = [(b"V\r", b'V'), (b"N\r", b'N')];
 
-/// What is known of the times of one connection.
+/// Times of the questions and answers of one connection.
 #[derive(Debug)]
 pub(crate) struct Dating {
     /// Questions without an answer: when they were asked, and which.

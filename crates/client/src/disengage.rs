@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(100);
 /// some µm in a minute, and a bridge answers in 10 nm.
 const STANDS_STILL: Duration = Duration::from_secs(10);
 
-/// What has become of the offsets.
+/// The outcome of taking the offsets back.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Disengaged {
     /// Nothing was followed; nothing was sent.
@@ -36,7 +36,7 @@ pub enum Disengaged {
     },
     /// A CNC commands the bridge; nothing was sent.
     CncCommands([Option<i32>; 3]),
-    /// They do not come nearer to 0: somebody else is believed.
+    /// They do not come nearer to 0: the bridge follows another sender.
     Stands([Option<i32>; 3]),
 }
 

@@ -13,7 +13,7 @@ const TTYS: &str = "/sys/class/tty";
 pub struct FoundPort {
     /// As `--port` takes it.
     pub name: String,
-    /// What the system says of it; empty: nothing.
+    /// The system's description of it; empty: none.
     pub what: String,
     /// Why it cannot be opened; `None`: it can.
     pub obstacle: Option<String>,

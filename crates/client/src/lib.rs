@@ -30,7 +30,7 @@
 //! | [`record`] | a log of every frame, and a run file for `diagnose` |
 //! | `socket_can` | the CAN interface, with the feature `socketcan` on Linux |
 //!
-//! What goes wrong outside the user's reach is an [`anyhow::Error`], a sentence with its causes; what
+//! A failure outside the user's reach is an [`anyhow::Error`], a sentence with its causes; one that
 //! the user has to mend is in there as [`Unusable`], or as [`trueup_machine::BadInput`].
 
 #![forbid(unsafe_code)]
@@ -64,17 +64,17 @@ pub mod writes;
 
 use std::{fmt, io, path::PathBuf};
 
-/// What the user has named and has to name otherwise: a port, or the place of a recording.
+/// An input that the user has to change: a port, or the place of a recording.
 #[derive(Debug)]
 pub enum Unusable {
     /// `--port` has none of the forms of a port.
     NoPort {
-        /// What the user wrote.
+        /// The text that the user wrote.
         text: String,
     },
     /// After `tcp:` comes no host and no number of a port.
     NoAddress {
-        /// What the user wrote.
+        /// The text that the user wrote.
         text: String,
     },
     /// A CAN interface, which this build cannot open.
@@ -88,14 +88,14 @@ pub enum Unusable {
     Folder {
         /// The folder that cannot be made.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         error: io::Error,
     },
     /// A file of a recording cannot be begun: it is there already, or may not be written.
     File {
         /// The file that cannot be begun.
         path: PathBuf,
-        /// What the system said.
+        /// The system's error.
         error: io::Error,
     },
 }

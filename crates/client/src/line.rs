@@ -1,9 +1,9 @@
 //! The line to the bridge, which may go and come: opened again and again, read in one thread and
 //! written in another, so that the loop never waits for either.
 //!
-//! What is to be sent waits in a short queue. While it is full, frames are left out: the receiver
-//! sees a gap in the counter, and the next frame says something newer anyway. What has waited for too
-//! long, and what would wait in a line that stalls, is left out likewise; and what comes is passed on
+//! Frames to be sent wait in a short queue. While it is full, frames are left out: the receiver
+//! sees a gap in the counter, and the next frame says something newer anyway. A frame that has waited for
+//! too long, or would wait in a line that stalls, is left out likewise; and what comes is passed on
 //! only while it cannot be old (`dating`).
 
 use std::{
@@ -39,7 +39,7 @@ const TURN: Duration = Duration::from_millis(10);
 /// A line without a frame for so long is closed and opened again.
 const DEAD: Duration = Duration::from_secs(3);
 
-/// What happens on the line.
+/// An event on the line.
 #[derive(Debug)]
 pub enum LineEvent {
     /// It is open.
@@ -52,7 +52,7 @@ pub enum LineEvent {
     Late,
 }
 
-/// What happens, and when.
+/// An event and its time.
 type Dated = (Instant, LineEvent);
 /// Where frames wait to be sent, and since when; `None`: the line is down.
 type Queue = Mutex<Option<SyncSender<(Instant, Frame)>>>;
@@ -240,7 +240,7 @@ mod tests {
         Ok((Box::new(stream.try_clone()?), Box::new(stream)))
     }
 
-    /// What a bridge does that restarts behind a line that stays: with its channel closed it
+    /// A bridge that restarts behind a line that stays: with its channel closed it
     /// refuses every frame, until it is asked to open.
     #[test]
     fn a_bridge_that_forgets_its_channel_is_asked_to_open_it_again() {

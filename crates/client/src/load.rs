@@ -23,7 +23,7 @@ use crate::{
 const LEAVE_TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the bridge may take to believe a service switch that is closed, after its start.
 const SWITCH_TIMEOUT: Duration = Duration::from_millis(300);
-/// How much longer than the link timeout `Service` of somebody who has left may stand.
+/// How much longer than the link timeout the `Service` of a client that has left may stand.
 pub(crate) const REMNANT_MARGIN: Duration = Duration::from_millis(500);
 /// How long the bridge may take to drop a calibration that it has stored.
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
@@ -32,17 +32,17 @@ const RESET_NODE: [u8; 2] = [0x81, 1];
 /// How long the bridge may take to send its first heartbeat after that.
 const BOOT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What is being done.
+/// A step of storing a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     /// The calibration is sent.
     Sending,
-    /// What the bridge has stored is read back.
+    /// The stored calibration is read back.
     ReadingBack,
 }
 
 /// Stores the calibration `blob` of this CRC for the next start and reads it back. `progress` receives the
-/// bytes of each step. What is not stored as it was sent is dropped again.
+/// bytes of each step. A calibration that is not stored as it was sent is dropped again.
 ///
 /// # Errors
 /// The bridge refuses, the line breaks, or what is stored is not what was sent.
@@ -93,7 +93,7 @@ pub fn drop_after(session: &mut Session, error: Error) -> Error {
 /// Drops the calibration that waits for the next start; its CRC, `None`: none waits.
 ///
 /// # Errors
-/// The bridge refuses or cannot, the line breaks, or nobody allows it.
+/// The bridge refuses or cannot, the line breaks, or it is not permitted.
 pub fn drop_pending(session: &mut Session) -> Result<Option<u32>> {
     let pending = object::number(session, NEW_CRC)?;
     if pending == 0 {
@@ -170,7 +170,7 @@ pub fn running(
 /// Returns the same for a bridge that nothing was written to before: its CNC, or else the session, has to allow it.
 ///
 /// # Errors
-/// As [`restart`], or nobody allows it.
+/// As [`restart`], or it is not permitted.
 pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
     ask_leave(session)?;
     restart(session, wanted)

@@ -20,7 +20,7 @@ use crate::{
     session::Session,
 };
 
-/// What kind of device it is.
+/// The kind of device.
 pub const NAME: At = (0x1008, 0);
 /// The version of its hardware.
 pub const HARDWARE: At = (0x1009, 0);
@@ -37,7 +37,7 @@ const FAULTS: [At; 2] = [(0x2001, 9), (0x2001, 10)];
 /// How many values the state has, and how many since the faults from 32 on are one of them: a firmware up to 0.2.0 has
 /// its commit there.
 const STATE_VALUES: (At, u32) = ((0x2001, 0), 11);
-/// What a CNC must know next to the offsets, a bit each.
+/// The state that a CNC must know next to the offsets, a bit each.
 pub const STATE_BITS: At = (0x2001, 6);
 /// Why the board last started.
 pub const RESET_REASON: At = (0x2001, 7);
@@ -68,7 +68,7 @@ pub const REFERENCE_UTC: At = (0x2010, 11);
 pub const REFERENCE_ORIGIN: At = (0x2010, 12);
 /// How long ago, in s; the largest number: it is not known.
 pub const REFERENCE_AGE: At = (0x2010, 13);
-/// What was learned, as it is applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
+/// The learned values as they are applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
 /// The tool, the conditions, and whose they are: 0 not known or no term needs them, 1 the CNC's, 2 lost.
 pub const CONDITIONS: [At; 3] = [(0x2012, 1), (0x2012, 2), (0x2012, 3)];

@@ -2,13 +2,13 @@
 //!
 //! A bridge is asked while it works, and it may live slower than we do: one that is emulated on a busy PC gets
 //! a part of the time of a real one, and one that writes its flash stands still for a second. So what counts is
-//! *its* time, which its heartbeats tell, ten a second, and the time for which *we* have listened: a program
+//! *its* time, which its heartbeats show, ten a second, and the time for which *we* have listened: a program
 //! that was not let run for five seconds has received nothing in them, and knows nothing.
 //!
 //! | given up after | where |
 //! |---|---|
 //! | [`LEAST`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
-//! | [`SILENCE`] without a heartbeat | nobody is there, or it hangs, or its heartbeat is turned off |
+//! | [`SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
 
 use std::time::{Duration, Instant};
 
@@ -18,7 +18,7 @@ pub const LOOK: Duration = Duration::from_millis(100);
 const BEATS: u32 = 20;
 /// The same by the clock, for heartbeats that have waited in a buffer all at once.
 const LEAST: Duration = Duration::from_secs(2);
-/// Without any heartbeat nobody is waited for longer than this.
+/// The longest wait without any heartbeat.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// The patience of one question.

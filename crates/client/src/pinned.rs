@@ -1,5 +1,5 @@
 //! On which calibration a bridge may be engaged: the one that a machine file makes, or the one of the first contact,
-//! which a state file keeps. A calibration that somebody loaded while the control was away is not engaged.
+//! which a state file keeps. A calibration that was loaded while the control was away is not engaged.
 
 use std::{
     ffi::OsString,
@@ -8,10 +8,10 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// First word of a state file, which tells it from any other.
+/// First word of a state file, which distinguishes it from any other file.
 const HEAD: &str = "trueup-calibration";
 
-/// What may be engaged.
+/// The calibrations on which a bridge may be engaged.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Rule {
     /// A bridge on any calibration.
@@ -48,7 +48,7 @@ impl Pinned {
         Self { rule, expected, running: None }
     }
 
-    /// Takes the CRC that the bridge says it runs on (0: on none), and returns what is to be told, if this
+    /// Takes the CRC that the bridge says it runs on (0: on none), and returns the sentence for the user, if this
     /// is news. A first contact is written down, before anything is engaged.
     pub fn runs_on(&mut self, running: Option<u32>) -> Option<String> {
         if running == self.running {

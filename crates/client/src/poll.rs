@@ -1,6 +1,6 @@
 //! An object that is asked for again and again while frames flow by, so that none of them is missed.
 //!
-//! The bridge serves one client of its objects at a time. Where somebody else is served (a master that
+//! The bridge serves one client of its objects at a time. Where another one is served (a master that
 //! loads), nothing is asked until that one has been silent for five seconds.
 
 use std::time::{Duration, Instant};
@@ -13,10 +13,10 @@ use trueup_link::{
 
 /// An answer that takes longer than this is given up: a bridge answers within 10 ms.
 const PATIENCE: Duration = Duration::from_millis(500);
-/// The pause after somebody else's transfer: longer than a calibration takes to be stored.
+/// The pause after another client's transfer: longer than a calibration takes to be stored.
 const BACK_OFF: Duration = Duration::from_secs(5);
 
-/// What a frame has brought.
+/// The result of a received frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Heard {
     /// Nothing of this object.

@@ -84,7 +84,7 @@ impl Port {
     /// Connects to the bridge.
     ///
     /// # Errors
-    /// Nobody listens there, there is no such device or interface, or it is another's.
+    /// Nothing listens there, there is no such device or interface, or it is another's.
     pub fn open(&self) -> io::Result<Ends> {
         match self {
             Self::Tcp(address) => {

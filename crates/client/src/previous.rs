@@ -2,7 +2,7 @@
 //!
 //! A file for each board and each calibration that took another one's place: its name says which, its content is the
 //! one before, as `compile` writes it. A board that was loaded elsewhere meanwhile runs on a calibration of which there is
-//! no such file, so what is kept is never loaded in the place of something that nobody here has seen.
+//! no such file, so what is kept is never loaded in the place of a calibration that this computer has not seen.
 
 use std::{
     env,

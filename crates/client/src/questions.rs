@@ -1,4 +1,4 @@
-//! What a bridge asks its operator: until it is answered, nothing is engaged.
+//! The questions of a bridge to its operator: until they are answered, nothing is engaged.
 
 use trueup_link::status::StateBits;
 

@@ -1,11 +1,11 @@
-//! What the monitor receives, written down: every frame as `candump -l` writes it, and next to it a run
+//! The monitor's recording: every frame as `candump -l` writes it, and next to it a run
 //! file with a row every [`ROW_MS`].
 //!
 //! The log is text, a frame a line, `(seconds.microseconds) interface identifier#data`, which
 //! can-utils (`canplayer`, `log2asc`) and python-can read. The time is this machine's.
 //!
 //! The run file has the columns of any run: `time_s`, `spindle_rpm`, `load_n`, positions, directions,
-//! temperatures; and as columns of their own the offsets, their quality and flags. What is not known
+//! temperatures; and as columns of their own the offsets, their quality and flags. A value not known
 //! at a row is an empty cell: what the CNC sends can only be received on a CAN bus, not on the bridge's
 //! own serial line. Its time is the bridge's, which sends a cycle a millisecond and counts them, so
 //! it is right at any speed of a virtual bridge. With the machine file the temperatures have its
@@ -13,7 +13,7 @@
 //! elongation on the wire. That is the sensor's alone: what a diagnosis has found, a drift with the
 //! sensor's temperature too, comes after it and is in the offsets only. So the counts are those that
 //! the sensor gave, averaged by the board. `calibration_crc` names the calibration that the bridge ran,
-//! as a decimal number. What `diagnose` needs besides is a measurement: a column `measured_…_um`, of
+//! as a decimal number. Next to these `diagnose` needs a measurement: a column `measured_…_um`, of
 //! what is left while the CNC follows the offsets; they are taken out of it again. It is there where a
 //! gauge is read, with a value in each row in which a reading was marked.
 
@@ -62,7 +62,7 @@ pub struct Recorder {
     board: Board,
     /// The CRC of the running calibration, 0 for none; `None`: not known.
     calibration: Option<u32>,
-    /// What the gauge has said since the last row, in µm; the quantity that it measures.
+    /// The newest reading of the gauge since the last row, in µm; the quantity that it measures.
     marked_um: Option<f64>,
     gauge: Option<Quantity>,
     /// The readings that stand in rows: where their cells begin in the file, how long they are, and what they say.

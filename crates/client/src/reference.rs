@@ -15,7 +15,7 @@ use crate::{
 /// Elongation, X, Y and Z in nm.
 pub type Nanometres = [i32; 4];
 
-/// What the object for the age says where it is not known.
+/// Value of the object for the age where it is not known.
 const UNKNOWN: u32 = u32::MAX;
 
 /// The reference of a bridge.

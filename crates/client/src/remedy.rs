@@ -1,4 +1,4 @@
-//! What to do about each word that the bridge says of itself: a flag, a fault or a bit of its state.
+//! The remedy for each word that the bridge says of itself: a flag, a fault or a bit of its state.
 
 /// Returns the words in the order of this list, what is worst first, each once, with its remedy.
 #[must_use]

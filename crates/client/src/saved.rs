@@ -20,11 +20,11 @@ use crate::{
     writes,
 };
 
-/// What the file says that it is.
+/// Name of the file's format.
 const FORMAT: &str = "trueup-bridge-1";
-/// What the file calls the parts of the reference.
+/// Keys of the parts of the reference in the file.
 const REFERENCE: [&str; 4] = ["elongation_nm", "x_nm", "y_nm", "z_nm"];
-/// What the checksum covers, in this order.
+/// Keys that the checksum covers, in this order.
 const PROTECTED: [&str; 8] = [
     "format",
     "machine",
@@ -86,7 +86,7 @@ impl Owner {
     }
 }
 
-/// What a board held.
+/// The content of a board when it was saved.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SavedBoard {
     all: Value,

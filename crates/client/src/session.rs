@@ -44,7 +44,7 @@ pub struct Session {
     has_adapter: bool,
     client: Client,
     heard: VecDeque<Event>,
-    /// What a tool says where no CNC does: `Control`, its counter, and when it is due.
+    /// The tool's own `Control` where there is no CNC, its counter, and when it is due.
     service: Option<(Control, u8, Instant)>,
 }
 
@@ -83,7 +83,7 @@ impl Session {
     /// Opens the channel of a bridge whose line is open already.
     ///
     /// # Errors
-    /// What is behind it is silent or refuses.
+    /// The device behind it is silent or refuses.
     pub fn open_over(ends: Ends) -> Result<Self> {
         let mut session = Self::over(ends, true);
         session.open_channel(OPEN_TIMEOUT)?;

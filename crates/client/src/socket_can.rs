@@ -29,7 +29,7 @@ pub fn open(interface: &str) -> io::Result<Ends> {
     Ok(lines(Arc::new(socket)))
 }
 
-/// What frames go through.
+/// The bus that frames go through.
 trait Bus: Send + Sync + 'static {
     fn send(&self, frame: &Frame) -> io::Result<()>;
 
@@ -86,7 +86,7 @@ impl<B: Bus> Read for Reader<B> {
     }
 }
 
-/// Lines with frames go in; others have nobody to receive them.
+/// Sends the frames of the lines that go in; other lines have no receiver.
 struct Writer<B> {
     bus: Arc<B>,
     lines: Client,

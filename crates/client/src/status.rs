@@ -1,4 +1,4 @@
-//! What the bridge says of itself ten times a second, put together.
+//! The bridge's status, which it sends ten times a second, put together.
 
 use serde_json::{Value, json};
 use trueup_canopen::emergency::Faults;
@@ -27,7 +27,7 @@ pub struct Board {
     lost: u16,
     noise_thousandths: u16,
     faults: u16,
-    /// What a CNC must know next to the offsets.
+    /// The state that a CNC must know next to the offsets.
     pub state: StateBits,
     reset_reason: ResetReason,
     free_stack: Option<u16>,

@@ -1,4 +1,4 @@
-//! What the bridge says, in words: the same ones in text and in JSON.
+//! The bridge's state in words: the same ones in text and in JSON.
 
 use serde_json::{Value, json};
 use trueup_canopen::emergency::{Fault, Faults};
@@ -25,8 +25,8 @@ pub fn quality_word(quality: Quality) -> &'static str {
 }
 
 /// Returns for whom a bridge waits that gives no offset and has no fault: "engage", the engage sequence of the CNC, or
-/// "confirm", the operator's answer to a question. `None`: it waits for nobody. `calibration` is the CRC of the one that
-/// it runs on, 0 for none.
+/// "confirm", the operator's answer to a question. `None`: it waits for neither. `calibration` is the CRC of the one
+/// that it runs on, 0 for none.
 #[must_use]
 pub fn waits_for(
     quality: Quality,

@@ -9,7 +9,7 @@ pub fn writes(bytes: &[u8]) -> Vec<Write> {
     bytes.as_chunks::<SIZE>().0.iter().filter_map(Write::from_bytes).collect()
 }
 
-/// What, when, and over which line.
+/// Returns a write in words: what, when, and over which line.
 #[must_use]
 pub fn text(write: &Write) -> String {
     let about = match write.what {

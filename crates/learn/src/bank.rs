@@ -1,7 +1,7 @@
 //! Whether what was learned is believed, or the file as it is: a sequential test, with a stated rate of false
 //! alarms.
 //!
-//! How fast a machine ages nobody knows beforehand, nor how long what wanders is remembered. So on either side stand
+//! How fast a machine ages is not known beforehand, nor how long what wanders is remembered. So on either side stand
 //! several filters, which count by how likely they thought the last readings to be: on one side those whose
 //! constants may change, at three paces; on the other those for which the file is right and the readings wander.
 //!
@@ -25,7 +25,7 @@ const DAY_S: f64 = 24.0 * HOUR_S;
 /// The times in which the filters forget: a constant may go anywhere within its bounds in four days, in a
 /// month, in a year. Between neighbours lies a factor of about ten, within which a filter loses little.
 const HORIZONS_S: [f64; 3] = [365.0 * DAY_S, 30.0 * DAY_S, 4.0 * DAY_S];
-/// What wanders is remembered for an hour, for a shift, for three days: a factor of about ten.
+/// The memories of what wanders: an hour, a shift, three days, a factor of about ten apart.
 const MEMORIES_S: [f64; 3] = [HOUR_S, 8.0 * HOUR_S, 72.0 * HOUR_S];
 /// The readings by which they are compared: three days of work at one each half hour.
 const COMPARED: usize = 48;

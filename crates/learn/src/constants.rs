@@ -9,7 +9,7 @@
 //! ```
 //!
 //! x₀ is the zero of the reference, in µm: for the growth of a spindle it is written where the source
-//! has a place for it; for an axis it is nobody's.
+//! has a place for it; for an axis the file has none.
 
 use serde::{Deserialize, Serialize};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
@@ -25,7 +25,7 @@ use trueup_machine::{
 pub struct Constant {
     /// Its place in the machine file: `spindle.temperature.k_um_per_c`, `term[1].um_per_c`.
     pub key: String,
-    /// What the user's own file says, in the unit of the key; not 0.
+    /// The value in the user's own file, in the unit of the key; not 0.
     pub believed: f64,
     /// Of a term its cause, quantity and columns: its number in the file may change. Else empty.
     #[serde(default, skip_serializing_if = "String::is_empty")]
@@ -234,7 +234,7 @@ pub(crate) fn zero(machine: &Machine, quantity: Quantity) -> Option<(&'static st
     }
 }
 
-/// What the file's own constants predict, and what each adds to that where it is twice as large, in µm.
+/// The prediction by the file's own constants, and the addition to it by each that is twice as large, in µm.
 pub(crate) struct Sensitivity {
     /// By row; NaN where the row does not say enough.
     pub believed_um: Vec<f64>,

@@ -69,7 +69,7 @@ pub(crate) struct Row<'a> {
     pub y_um: f64,
 }
 
-/// What was believed before an instant.
+/// The belief before an instant.
 pub(crate) struct Before {
     /// The zero in µm, the shares.
     pub x: Vec<f64>,
@@ -179,7 +179,7 @@ pub(crate) fn is_foreseen(rows: &[Row<'_>], before: &Before) -> bool {
     most(&e, sigma) < CERTAIN
 }
 
-/// What a belief leaves of readings.
+/// The residuals of readings under a belief, and their expected scatter.
 struct Left {
     /// Of each, in µm.
     e: Vec<f64>,

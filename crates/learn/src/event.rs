@@ -83,20 +83,20 @@ pub struct Event {
     pub unit: String,
     /// The 95 % interval of `size`.
     pub ci95: [f64; 2],
-    /// What to check, for the user.
+    /// The check to make, a sentence for the user.
     pub check: String,
     /// Other kinds that explain the readings as well; where there are any, `event` is `unknown`, and they are all of them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alternatives: Vec<EventKind>,
     /// The number of the first reading after it.
     pub(crate) sequence: u64,
-    /// What it does to the constants.
+    /// Its effect on the estimate.
     pub(crate) action: Action,
     /// Whether later readings may still change its name and size.
     pub(crate) is_open: bool,
 }
 
-/// What an event does to the estimate, before the first reading after it.
+/// The effect of an event on the estimate, before the first reading after it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Action {

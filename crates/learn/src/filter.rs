@@ -48,7 +48,7 @@ pub(crate) const FINEST_UM: f64 = 0.1;
 const BAD: f64 = 0.05;
 const ANYTHING_UM: f64 = 100.0;
 
-/// What the readings have said so far.
+/// The estimate from the readings so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Filter {
     /// The time in which it forgets all, in s.
@@ -61,7 +61,7 @@ pub(crate) struct Filter {
     p: Vec<f64>,
     /// Variances of what lasts, before the first reading.
     prior: Vec<f64>,
-    /// What one reading repeats to, in µm, as far as known.
+    /// Repeatability of one reading, in µm, as far as known.
     noise_um: f64,
     /// ν and gᵀ·P·g of readings that were taken.
     taken: Vec<[f64; 2]>,
@@ -69,7 +69,7 @@ pub(crate) struct Filter {
     last: Vec<(i8, Vec<f64>, f64)>,
 }
 
-/// What became of a reading.
+/// The outcome of a reading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fate {
     /// Used.

@@ -35,7 +35,7 @@ const SET_BACK: &str = ". If the clock was set back by an hour (the end of summe
 /// Digits behind the point that are kept of a reading, in µm: a hundredth of what any probe repeats to.
 const FINEST_UM: f64 = 1e-4;
 
-/// What became of a reading.
+/// The outcome of a reading.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Taken {
     /// The row of the record, from 1, without the header.
@@ -55,7 +55,7 @@ pub struct Taken {
 pub struct Learned {
     /// The machine file with what was learned.
     pub machine: String,
-    /// What is known now.
+    /// The state after the record.
     pub memory: Memory,
     /// Each new reading, in its order.
     pub readings: Vec<Taken>,
@@ -245,7 +245,7 @@ fn has_bridge(run: &Unaided<'_>, ran: &Machine, quantity: Quantity) -> Result<bo
     }
 }
 
-/// What held a reading back.
+/// The causes that hold a correction back.
 #[derive(Default)]
 struct Held {
     /// A bound was reached.

@@ -1,5 +1,5 @@
-//! What of a learned machine file can be brought to a bridge that runs on the user's own, and what needs a
-//! new calibration, at rest.
+//! The parts of a learned machine file that a bridge can take while it runs on the user's own, and those that need
+//! a new calibration, at rest.
 //!
 //! A bridge takes five numbers while it runs ([`trueup_core::learned`]): a share of the growth and of each
 //! axis's expansion, and the zero of the growth. By the sources of the growth, with a' for what was learned:
@@ -32,12 +32,12 @@ const NAMES: [&str; PARTS] = [
     "zero of the growth",
 ];
 
-/// What a bridge may be told while it runs.
+/// The parts of a learned file that a bridge takes while it runs, and the rest.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Live {
     /// Each part, in the bridge's units: 10⁻⁵ of itself, the zero in nm.
     pub amounts: [i16; PARTS],
-    /// What it cannot be told, a sentence each: that needs the new file, at rest.
+    /// The parts that it cannot take, a sentence each: these need the new file, at rest.
     pub rest: Vec<String>,
 }
 

@@ -6,7 +6,7 @@
 //!   filters        the last 300, as they were read
 //! ```
 //!
-//! What is believed now is never stored: it is the checkpoint, advanced by the readings of the window and the events
+//! The present belief is never stored: it is the checkpoint, advanced by the readings of the window and the events
 //! among them. So an event that is found late acts from the reading at which it happened, and a state that was read back
 //! is the same to the bit. A reading that leaves the window advances the checkpoint.
 
@@ -74,7 +74,7 @@ pub(crate) struct Kept {
     pub g: Vec<f64>,
     /// Effect of each thermometer per unit share, in µm.
     pub h: Vec<f64>,
-    /// What it says of each backlash, in µm; empty where it was refused.
+    /// Its evidence on the growth of each backlash, in µm; empty where it was refused.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub worn: Vec<f64>,
 }
@@ -86,11 +86,11 @@ pub struct Memory {
     pub schema: u32,
     /// The machine.
     pub machine: Owner,
-    /// What is learned: `elongation`, `dx`, `dy` or `dz`.
+    /// The learned quantity: `elongation`, `dx`, `dy` or `dz`.
     pub quantity: String,
     /// The constants, with what the user's own file says.
     pub constants: Vec<Constant>,
-    /// What the user's file says where the zero of the growth is written.
+    /// The value in the user's file where the zero of the growth is written.
     pub(crate) zero: Option<f64>,
     /// The zero in µm, then the share of each constant, as they are applied.
     pub applied: Vec<f64>,
@@ -99,7 +99,7 @@ pub struct Memory {
     pub(crate) last_s: Option<f64>,
     /// Whether a record has shown that the CNC applies the offsets of the bridge once.
     pub(crate) is_applied_once: bool,
-    /// What was applied before the readings of an engaged bridge whose factor is not known moved it.
+    /// The values applied before the readings of an engaged bridge whose factor is not known moved them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) proven: Option<Vec<f64>>,
     /// The events, the latest last.

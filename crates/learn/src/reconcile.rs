@@ -14,13 +14,13 @@ use crate::{
     replay::Believed,
 };
 
-/// What is believed before the first reading, one standard deviation: a constant is known to a quarter (what a
-/// maker says of growth is no better), the zero to 5 µm, which any tool setter keeps.
+/// The prior, one standard deviation: a constant is known to a quarter (what a maker says of growth is no better),
+/// the zero to 5 µm, which any tool setter keeps.
 const SHARE: f64 = 0.25;
 const ZERO_UM: f64 = 5.0;
 /// A backlash may double in a year.
 const BACKLASH_SHARE: f64 = 1.0;
-/// What a probe repeats to where nothing says it, in µm: the last digit of the papers' indicator.
+/// Repeatability of a probe where nothing says it, in µm: the last digit of the papers' indicator.
 const NOISE_UM: f64 = 1.0;
 
 /// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.

@@ -1,4 +1,4 @@
-//! What is believed now: the checkpoint, advanced by the readings of the window and the events among them.
+//! The present belief: the checkpoint, advanced by the readings of the window and the events among them.
 
 use crate::{
     bank::Bank,
@@ -55,7 +55,7 @@ impl Believed {
         }
     }
 
-    /// Takes the reading `index` of the window. What became of it.
+    /// Takes the reading `index` of the window, and returns its outcome.
     pub fn advance(&mut self, memory: &Memory, index: usize) -> Fate {
         self.tail.push(self.bank.clone());
         if self.tail.len() > TAIL {

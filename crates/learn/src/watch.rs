@@ -2,8 +2,8 @@
 //!
 //! An event is searched for over the last [`BACK`] readings. It stays open until it is named and [`NAMED`] readings old, or
 //! [`OPEN`] readings old: as long its name and size follow the readings. Where bad readings have moved the estimate, the good ones
-//! after them look like an event: what is believed before them foresees these, and there is none. What an event does to the
-//! estimate is done anew from its first reading on whenever that changes.
+//! after them look like an event: the belief before them predicts these, and there is none. The effect of an event on
+//! the estimate is computed anew from its first reading on whenever that changes.
 
 use crate::{
     constants::unit,
@@ -31,7 +31,7 @@ const SIMPLER: f64 = 3.0;
 const OTHERS: f64 = 0.25;
 /// A zero of which nothing is known, in µm: the filters hold it to what they believe before the first reading.
 const ANYWHERE_UM: f64 = 100.0;
-/// What a thermometer that was moved may show too much everywhere, one standard deviation in K: half of what an unheated hall
+/// The excess that a moved thermometer may show everywhere, one standard deviation in K: half of what an unheated hall
 /// changes by within a week.
 const MOVED_C: f64 = 3.0;
 

@@ -6,7 +6,7 @@
 //! r = g·(s₀ + s·t) + ε    least squares; s₀ is 0 where that agrees with the readings: the file was right when they began
 //! ```
 //!
-//! What lags behind in the other constants (a season after a thermometer was moved) misses both directions alike: ē takes it off.
+//! A lag in the other constants (a season after a thermometer was moved) shifts both directions alike: ē takes it off.
 //!
 //! A line over all readings knows the growth far better than the estimate of today less that of the first weeks: that
 //! forgets, and lags behind. It is wear when s differs from 0 by [`CERTAIN`] standard errors.

@@ -1,4 +1,4 @@
-//! What `trueup learn` promises of single records: refusals with a reason, bounds, the way back.
+//! The promises of `trueup learn` for single records: refusals with a reason, bounds, the way back.
 
 use std::path::Path;
 

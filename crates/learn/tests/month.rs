@@ -49,7 +49,7 @@ fn lived(seed: u64, ages: bool) -> [f64; 2] {
     sums.map(|(squares, count)| (squares / count).sqrt())
 }
 
-/// What many months come to.
+/// Figures of merit over many months.
 struct Judged {
     /// RMS of all that the file as it is leaves of ageing machines, in µm.
     file_um: f64,
@@ -103,7 +103,7 @@ fn twenty_months_are_followed_to_three_and_a_half_micrometres() {
     holds(&judged(SEEDS, SEEDS));
 }
 
-/// Months that nobody had looked at while the learner before this one was made; its faults were found on them.
+/// Months not looked at while the learner before this one was made; its faults were found on them.
 #[test]
 fn twenty_months_that_nobody_had_looked_at_are_followed_too() {
     holds(&judged(1000..1020, 1000..1020));

@@ -149,7 +149,7 @@ pub fn whole(bytes: &[u8]) -> Result<&[u8], BlobError> {
     Ok(blob)
 }
 
-/// Returns what tells one calibration from another: the CRC of its blob, whole as [`whole`] finds it; 0 of none.
+/// Returns the identity of a calibration: the CRC of its blob, whole as [`whole`] finds it; 0 of none.
 #[must_use]
 pub fn identity(whole: &[u8]) -> u32 {
     u32::from_le_bytes(*whole.last_chunk().unwrap_or(&[0; CRC_SIZE]))

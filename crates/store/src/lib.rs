@@ -1,4 +1,4 @@
-//! What the bridge stores: the calibration as one blob, and the flash that keeps what outlasts the
+//! The bridge's store: the calibration as one blob, and the flash that keeps what outlasts the
 //! power.
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one

@@ -34,7 +34,7 @@ impl Load<'_> {
     }
 }
 
-/// What came of a calibration that has come whole.
+/// The result of a calibration whose bytes are complete.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// It is stored.

@@ -8,9 +8,9 @@
 //! Records are appended to the active half, so that storing one needs no erase, which stalls this
 //! chip for 1 to 2 s. When that half is full they go on in the other, which [`Log::make_room`] has
 //! emptied before, at a moment when a stall does no harm. Sequence numbers rise from 1 over both
-//! halves, so the largest tells which half is active.
+//! halves, so the largest shows which half is active.
 //!
-//! What a record holds, and which bytes are one, its owner says; the log finds the slots. A record
+//! Its owner says which bytes are a record, and what it holds; the log finds the slots. A record
 //! must end with what makes it valid, or have that written last: a power cut then leaves a slot
 //! that holds no record, which is passed over from then on, and the record before it counts.
 //!
@@ -21,7 +21,7 @@
 //!
 //! Not `sequential-storage`, whose pages and items could do this: it erases inside the call that
 //! stores, when a page is full; and it passes over a damaged item without a word, where a machine's
-//! log should tell.
+//! log should report it.
 
 use core::{error::Error, fmt};
 
@@ -88,7 +88,7 @@ impl Only {
     }
 }
 
-/// What a half holds.
+/// The content of a half.
 #[derive(Clone, Copy, Debug, Default)]
 struct Content {
     /// Slots up to the last one that is not blank.
@@ -113,7 +113,7 @@ pub(crate) struct Log<F> {
 
 impl<F: NorFlash> Log<F> {
     /// Looks at all of the flash. `read` is given each slot that is not blank, and says the sequence
-    /// number of the record there, from 1, if there is one. What cannot be read is not blank.
+    /// number of the record there, from 1, if there is one. A slot that cannot be read is not blank.
     pub fn open(
         flash: F,
         slot_size: u32,

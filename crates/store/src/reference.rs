@@ -47,7 +47,7 @@ const ATTEMPTS: u32 = 3;
 
 type Bytes = [u8; RECORD_SIZE];
 
-/// What holds for a calibration: its reference, and what the operator has not answered yet.
+/// The state of a calibration: its reference, and the operator's answers that are missing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Standing {
     /// The reference.
@@ -132,7 +132,7 @@ fn decode_write(bytes: &Bytes) -> Option<Write> {
     (layout == writes::LAYOUT.to_le_bytes()).then(|| Write::from_bytes(write)).flatten()
 }
 
-/// What the flash was found to hold.
+/// The records found in the flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// The newest record of this calibration: its sequence number, and what holds now by it and by what came
@@ -157,7 +157,7 @@ pub struct Found {
 pub struct References<F> {
     log: Log<F>,
     calibration: u32,
-    /// What holds for this calibration, and the half that its record is in; `None`: it is not stored yet.
+    /// The state of this calibration, and the half that its record is in; `None`: it is not stored yet.
     current: Option<(Standing, Option<Half>)>,
     /// The write that has named the board's machine, and the half that it is in.
     named: Option<(Write, Half)>,
@@ -172,7 +172,7 @@ pub struct References<F> {
     only_taken: Only,
 }
 
-/// What has happened to a calibration, by the sequence numbers of the records that say so; 0: none does.
+/// The events of a calibration, by the sequence numbers of the records that say so; 0: none does.
 #[derive(Default)]
 struct Events {
     /// The newest time at which another calibration ran.
@@ -218,7 +218,7 @@ impl Events {
 }
 
 impl<F: NorFlash> References<F> {
-    /// Reads all of the flash. What cannot be read counts as damaged.
+    /// Reads all of the flash. A slot that cannot be read counts as damaged.
     pub fn open(flash: F, calibration: u32) -> (Self, Found) {
         let mut found = Found::default();
         let (mut half, mut named, mut taken) = (None, None, None);

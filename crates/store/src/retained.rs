@@ -1,5 +1,5 @@
-//! What outlasts a reset in RAM that is not cleared, and a power cut where a battery holds it: the heat, and how
-//! the sources join.
+//! Values that outlast a reset in RAM that is not cleared, and a power cut where a battery holds it: the heat, and
+//! how the sources join.
 //!
 //! | offset | a copy, little-endian | unit |
 //! |---|---|---|
@@ -34,10 +34,10 @@ pub const LONGEST_OFF_S: u32 = 366 * DAY_S;
 /// The two copies.
 pub type Copies = [[u8; SIZE]; 2];
 
-/// What outlasts a reset.
+/// The values that outlast a reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
-    /// What each lag has reached.
+    /// The state of each lag.
     pub heat: HeatMemory,
     /// The source of the elongation that was used last.
     pub joint: Option<KeptJoint>,
@@ -49,9 +49,9 @@ pub fn load(copies: &Copies) -> Option<Kept> {
     newest(copies).map(|(_, kept)| kept)
 }
 
-/// For how many seconds the power was gone, by the clock that now says `now_s`. `None`: nobody knows. There is no
-/// whole copy, or no clock, or the clock was not there when it was written, has been set back, or says that it was
-/// longer than [`LONGEST_OFF_S`].
+/// Returns the seconds without power, by the clock that now says `now_s`. `None`: not known, because there is no whole
+/// copy, or no clock, or the clock was not there when it was written, has been set back, or says that it was longer
+/// than [`LONGEST_OFF_S`].
 #[must_use]
 pub fn off_s(copies: &Copies, now_s: Option<u32>) -> Option<u32> {
     let (written_s, _) = newest(copies)?;

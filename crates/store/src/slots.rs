@@ -35,7 +35,7 @@ const HEAD: u32 = 16;
 #[allow(clippy::cast_possible_truncation, reason = "16 384")]
 pub const SLOT_SIZE: u32 = HEAD + MAX_SIZE as u32;
 
-/// What stands before the blob.
+/// The head of a slot, before the blob.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Head {
     sequence: u32,
@@ -77,7 +77,7 @@ pub struct Stored {
     pub length: usize,
 }
 
-/// What the flash was found to hold.
+/// The calibrations found in the flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// The newest calibration that was loaded over this image.

@@ -1,6 +1,6 @@
 //! A flash for tests that forgives nothing, and whose power can be cut at any byte.
 //!
-//! What a cut leaves behind is not what the data sheet of a good cell says: bits that were on their way
+//! A cut leaves behind other bits than the data sheet of a good cell says: bits that were on their way
 //! from 1 to 0 may be read as either from then on, and differently each time, until the word is written
 //! with a 0 there or its sector is erased. Bits of a sector whose erase was cut are undefined.
 
@@ -15,7 +15,7 @@ const WAVERING_ERASE: usize = 64;
 /// all, and the power is cut when the fuel is burnt: one unit a byte written or erased.
 #[derive(Clone, Debug)]
 pub struct StrictFlash<const SECTOR: usize> {
-    /// What it holds: two sectors.
+    /// Its bytes: two sectors.
     pub bytes: Vec<u8>,
     /// Bytes that can still be written or erased.
     pub fuel: usize,

@@ -1,4 +1,4 @@
-//! What was written to the board, when, and over which line: the log that outlasts the power.
+//! The log of writes to the board, their time and line; it outlasts the power.
 //!
 //! A write is reported by the node (RAM, and object 0x2110) and kept in the flash, together with the references
 //! ([`crate::reference`]), in a slot of the same 32 bytes:
@@ -9,7 +9,7 @@
 //! | 4 | `u32` the calibration that ran: the CRC of its blob; 0: none | |
 //! | 8 | `u32` what it was about, see [`What`] | |
 //! | 12 | `u32` time since the start of the board | ms |
-//! | 16 | `u32` time of day; 0: nobody has told it | s since 1970, UTC |
+//! | 16 | `u32` time of day; 0: not set | s since 1970, UTC |
 //! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), `u8` 1: no CNC was received, 0 | |
 //! | 24 | `u32` layout, 2 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
@@ -22,12 +22,12 @@ use crate::crc;
 
 /// Bytes of a write in the object.
 pub const SIZE: usize = 24;
-/// This many writes are told by the object.
+/// Writes that the object holds.
 pub const KEPT: usize = 16;
 /// The layout of a record of a write.
 pub(crate) const LAYOUT: u32 = 2;
 
-/// What was written.
+/// The kind of a write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum What {
@@ -112,13 +112,13 @@ pub struct Write {
     pub sequence: u32,
     /// The calibration that ran, by the CRC of its blob; 0: none.
     pub calibration: u32,
-    /// What it was about, see [`What`].
+    /// Its subject, see [`What`].
     pub about: u32,
     /// Milliseconds since the start of the board.
     pub at_ms: u32,
-    /// Seconds since 1970 (UTC); 0: nobody has told the board the time.
+    /// Seconds since 1970 (UTC); 0: the time of the board was not set.
     pub utc_s: u32,
-    /// What was written.
+    /// Its kind.
     pub what: What,
     /// Where it came from.
     pub origin: Origin,
@@ -192,7 +192,7 @@ impl Writes {
     }
 }
 
-/// Returns what tells the names of a machine and a board from others; 0: the calibration names neither.
+/// Returns the identity of the names of a machine and a board; 0: the calibration names neither.
 #[must_use]
 pub fn identity(names: &Names<'_>) -> u32 {
     let Names { machine, serial, board } = *names;

@@ -24,7 +24,7 @@ pub struct AmbientConfig {
     pub amplitude_c: f64,
     /// When it is warmest, in hours after the start of the run.
     pub warmest_h: f64,
-    /// What is added from hour to hour, in K/h.
+    /// Trend in K/h.
     pub trend_c_per_h: f64,
     /// Standard deviation of the wander in K.
     pub wander_c: f64,

@@ -181,7 +181,7 @@ pub struct Abbe {
 pub struct AxesConfig {
     /// The axes by their names.
     pub axes: BTreeMap<AxisName, AxisConfig>,
-    /// What one axis does to another.
+    /// Errors of one axis along another.
     pub straightness: Vec<Straightness>,
     /// Angles and arms.
     pub abbe: Vec<Abbe>,

@@ -14,7 +14,7 @@ use serde::Deserialize;
 
 use crate::{broken::Rule, cubic_spline::CubicSpline, head};
 
-/// What moves a body.
+/// The axis that moves a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Drive {

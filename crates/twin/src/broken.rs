@@ -1,4 +1,4 @@
-//! What is wrong with a scenario file, and where: `file:line:column: rule`.
+//! An error in a scenario file, and its place: `file:line:column: rule`.
 //!
 //! A value of the wrong type has its place from the TOML reader; a value out of its range is found
 //! later, by its key, which is then looked up in the text.
@@ -10,7 +10,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-/// What is wrong with a scenario.
+/// An error in a scenario.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BadScenario {
     /// The file as the user named it.
@@ -36,7 +36,7 @@ impl std::error::Error for BadScenario {}
 pub(crate) struct Rule {
     /// The dotted key: `spindle.length_m`.
     pub(crate) key: String,
-    /// What goes on after it.
+    /// The rest of the sentence after it.
     pub(crate) rule: String,
 }
 

@@ -7,7 +7,7 @@
 //! C_i·dT_i/dt = G_{i−1}·(T_{i−1} − T_i) + G_i·(T_{i+1} − T_i) + S_i·(U_i − T_i) + Q_i
 //! ```
 //!
-//! What leaves one cell enters the next, so that heat is conserved to rounding. Between the middles
+//! The heat that leaves one cell enters the next, so that heat is conserved to rounding. Between the middles
 //! of two cells of lengths a and b the resistance is a/(2kA) + b/(2kA). An end is held, cooled by a
 //! film (resistance a/(2kA) + 1/(hA)), or insulated. Time is stepped by the θ rule, θ = 1 backward
 //! Euler (first order, never oscillates) or θ = 1/2 Crank–Nicolson (second order); each step solves
@@ -19,7 +19,7 @@
 //! film of Bi = 1, the steady profile with a source by 0.012 %; order 2.00 in space, 0.99 (θ = 1) and
 //! 2.01 (θ = 1/2) in time; energy closed within 1e-16 of the heat that moved.
 
-/// What a rod is made of.
+/// The material of a rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
     /// Thermal conductivity in W/(m·K).
@@ -39,7 +39,7 @@ impl Material {
     };
 }
 
-/// What is at an end of a rod.
+/// The boundary condition at an end of a rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum End {
     /// No heat passes.
@@ -68,9 +68,9 @@ pub struct Rod {
     pub sides_w_per_k: Vec<f64>,
     /// The temperature of what surrounds each cell, in °C.
     pub surroundings_c: Vec<f64>,
-    /// What is at the left end.
+    /// Boundary condition at the left end.
     pub left: End,
-    /// What is at the right end.
+    /// Boundary condition at the right end.
     pub right: End,
     /// 1: backward Euler; 1/2: Crank–Nicolson.
     theta: f64,

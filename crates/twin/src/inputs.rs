@@ -23,7 +23,7 @@ const SPEEDS_RPM: [f64; 9] =
 /// The bound of the ranges of the speed in r/min.
 const BOUND_RPM: f64 = 10_500.0;
 
-/// What is hidden: its name, and the columns of which it is a law.
+/// A hidden law: its name, and the columns that it depends on.
 #[derive(Clone, Copy, Debug)]
 pub struct Kind {
     /// For the table of a campaign.
@@ -80,7 +80,7 @@ const fn kind(
 /// A machine file and two days.
 #[derive(Clone, Debug)]
 pub struct Days {
-    /// What the user believes: a sensor that reads the growth right.
+    /// The user's machine file: a sensor that reads the growth right.
     pub machine: String,
     /// A run file to learn from.
     pub first: String,

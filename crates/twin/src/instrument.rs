@@ -20,7 +20,7 @@ use crate::{
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct InstrumentConfig {
-    /// What it shows of 1 µm.
+    /// Gain: its reading of 1 µm.
     pub gain: f64,
     /// Its last digit in µm; 0: a tenth of a nanometre.
     pub quantum_um: f64,

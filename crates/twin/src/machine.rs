@@ -1,4 +1,4 @@
-//! The machine as a whole: told what its drives do, step by step, it answers with what its sensors
+//! The machine as a whole: commanded step by step, it answers with what its sensors
 //! say and what its tool tip really does.
 //!
 //! ```text
@@ -23,7 +23,7 @@ use crate::{
     tool::{ToolConfig, growth_um},
 };
 
-/// What the drives do over one step: where it ends, and what holds during it.
+/// The command to the drives for one step: where it ends, and what holds during it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
     /// Where X, Y and Z are driven to, in mm.

@@ -38,7 +38,7 @@ const UM_PER_KRPM2: f64 = 0.02;
 /// By how much the growth by a kelvin has grown when the month is over.
 const AGEING: f64 = 0.3;
 
-/// What the user believes, and the days of work.
+/// The user's machine file, and the days of work.
 #[derive(Clone, Debug)]
 pub struct Month {
     /// The machine file (TOML), right on the first day.
@@ -54,7 +54,7 @@ pub struct Day {
     pub csv: String,
     /// The growth at the tool in each row, in µm.
     pub truth_um: Vec<f64>,
-    /// Whether the spindle turns in the row: where it stands nobody works.
+    /// Whether the spindle turns in the row: where it stands there is no work.
     pub works: Vec<bool>,
     /// Whether it was probed.
     pub is_probed: bool,
@@ -62,7 +62,7 @@ pub struct Day {
     pub bad: usize,
 }
 
-/// What the machine is at a time.
+/// The true parameters of the machine at a time.
 struct Truth {
     front_um_per_c: f64,
     column_um_per_c: f64,

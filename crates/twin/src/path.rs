@@ -1,8 +1,8 @@
-//! What the machine is told to do, piece by piece.
+//! The path of the machine, piece by piece.
 //!
 //! | kind | does | a row |
 //! |---|---|---|
-//! | `spindle` | the axes stand, the spindle does as it is told | every `interval_s` |
+//! | `spindle` | the axes stand, the spindle turns at its speed | every `interval_s` |
 //! | `move` | all axes go to a point at a feed | every `interval_s` |
 //! | `move` with `cycles` | there and back, so often: what runs a screw warm | at the end of a way, not before `interval_s` has passed |
 //! | `positions` | one axis goes to equidistant targets, up and down, as ISO 230-2 has it | at each target, after the dwell |
@@ -16,7 +16,7 @@ use serde::Deserialize;
 
 use crate::{axes::AxisName, broken::Rule, noise::Stream};
 
-/// What a piece does.
+/// The kind of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Kind {
@@ -32,7 +32,7 @@ pub enum Kind {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Segment {
-    /// What it does.
+    /// The kind of piece.
     pub kind: Kind,
     /// Speed of the spindle in r/min.
     #[serde(default)]

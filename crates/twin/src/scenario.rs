@@ -30,7 +30,7 @@ pub const MOST_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
 pub const SHORTEST_STEP_S: f64 = 1e-3;
 
-/// What is measured.
+/// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Quantity {
@@ -72,9 +72,9 @@ impl Default for CoolantConfig {
 #[derive(Clone, Debug, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// What it is of, for the reader.
+    /// Its title, for the reader.
     pub name: String,
-    /// What is measured; a column each.
+    /// The quantities to measure; a column each.
     pub measure: Vec<Quantity>,
     /// From row to row, in s, above 0.
     #[serde(default = "ten")]
@@ -85,7 +85,7 @@ pub struct Scenario {
     /// How often the segments are gone through.
     #[serde(default = "once")]
     pub repeat: u32,
-    /// What all temperatures start at, in °C; the air's of the start by default.
+    /// The start of all temperatures, in °C; by default that of the air.
     pub start_c: Option<f64>,
     /// Where the axes start, in mm.
     #[serde(default)]
@@ -118,14 +118,14 @@ pub struct Scenario {
     #[serde(default)]
     #[schemars(extend("propertyNames" = {"enum": crate::axes::NAMES}))]
     pub axis: BTreeMap<AxisName, AxisConfig>,
-    /// What one axis does to another.
+    /// Errors of one axis along another.
     #[serde(default)]
     pub straightness: Vec<Straightness>,
     /// Angles and arms.
     #[serde(default)]
     pub abbe: Vec<Abbe>,
-    /// What each axis moves, from the workpiece to the tool, and how it is turned and shifted; without them all are
-    /// right.
+    /// The bodies that the axes move, from the workpiece to the tool, and how each is turned and shifted; without them
+    /// all are right.
     #[serde(default)]
     pub body: Vec<Body>,
     /// From the spindle nose to the tool tip in mm, with all angles at 0, for the arms of the bodies.
@@ -134,7 +134,7 @@ pub struct Scenario {
     /// The reference instrument; every quantity has one of its own.
     #[serde(default)]
     pub instrument: InstrumentConfig,
-    /// What is done, in this order.
+    /// The pieces of the run, in this order.
     pub segment: Vec<Segment>,
 }
 

@@ -101,7 +101,7 @@ fn fields<'de, T: Deserialize<'de>>() -> &'static [&'static str] {
     fields
 }
 
-/// What a type's reader is given to say which fields it wants.
+/// The deserializer that records the fields that a type's reader wants.
 struct Asked<'f>(&'f mut &'static [&'static str]);
 
 impl<'de> Deserializer<'de> for Asked<'_> {

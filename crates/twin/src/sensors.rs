@@ -1,4 +1,4 @@
-//! What the machine's own sensors make of the truth.
+//! The machine's own sensors: their readings of the truth.
 //!
 //! A displacement sensor, in this order:
 //!
@@ -8,7 +8,7 @@
 //! counts = nearest whole number of zero_counts + v/um_per_count, held to 0…full_scale_counts
 //! ```
 //!
-//! What is left of run-out after averaging over turns has another phase in each row. A thermometer has
+//! The run-out that is left after averaging over turns has another phase in each row. A thermometer has
 //! a lag, an offset, noise and a last digit. Any cell may be missing.
 
 use std::collections::VecDeque;
@@ -31,11 +31,11 @@ pub struct DisplacementConfig {
     pub um_per_count: f64,
     /// The largest count; the smallest is 0.
     pub full_scale_counts: f64,
-    /// What it shows of 1 µm.
+    /// Gain: its reading of 1 µm.
     pub gain: f64,
-    /// What it shows beyond that, in µm per µm².
+    /// The quadratic term of its reading, in µm per µm².
     pub curvature_per_um: f64,
-    /// What it shows for 1 K of its coil, in µm.
+    /// Drift with the temperature of its coil, in µm/K.
     pub coil_um_per_c: f64,
     /// The coil temperature at which it is right, in °C.
     pub coil_reference_c: f64,
@@ -43,7 +43,7 @@ pub struct DisplacementConfig {
     pub delay_s: f64,
     /// Time constant of its filter in s; at least 0.
     pub lag_s: f64,
-    /// What is left of the run-out, amplitude in µm.
+    /// Amplitude of the run-out that is left, in µm.
     pub runout_um: f64,
     /// White noise in µm, standard deviation.
     pub noise_um: f64,

@@ -67,7 +67,7 @@ pub struct SpindleConfig {
     pub loss_w_per_n: f64,
     /// Heat transfer to the air at rest in W/(m²·K).
     pub still_h_w_per_m2_k: f64,
-    /// What 1000 r/min add to it, in W/(m²·K).
+    /// Increase of it at 1000 r/min, in W/(m²·K); it rises with the power 2/3 of the speed.
     pub speed_h_w_per_m2_k: f64,
     /// From the shaft along the motor to the coolant, in W/K.
     pub coolant_w_per_k: f64,
@@ -211,7 +211,7 @@ impl SpindleConfig {
     }
 }
 
-/// What surrounds the spindle and drives it, over one step.
+/// The surroundings and the drive of the spindle over one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
     /// Speed in r/min.
@@ -377,7 +377,7 @@ impl Spindle {
         self.holder_c = ambient_c;
     }
 
-    /// Returns the shaft, for whoever keeps an account of its heat.
+    /// Returns the shaft, for an account of its heat.
     #[must_use]
     pub fn shaft(&self) -> &Rod {
         &self.shaft

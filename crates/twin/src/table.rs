@@ -1,7 +1,7 @@
 //! Columns of numbers, and the run file (CSV) that they are written to.
 //!
-//! A value is rounded to its column's decimals when it is put in, not when it is written: whoever
-//! computes with a column computes with what the reader of the file will see.
+//! A value is rounded to its column's decimals when it is put in, not when it is written: a computation
+//! with a column has the values that the reader of the file will see.
 
 use std::{
     fmt::Write as _,

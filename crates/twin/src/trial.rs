@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Every run is of another morning, cold, with the same truth, in a hall that is kept at one temperature: another
-//! morning by itself tells nothing.
+//! morning by itself shows nothing.
 
 use crate::{
     noise::{Correlated, Stream},
@@ -23,7 +23,7 @@ const AIR_C: f64 = 20.5;
 /// Growth by a kelvin of the front bearing, in µm.
 const FRONT_UM_PER_C: f64 = 4.0;
 
-/// What is wrong in the file.
+/// The error in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wrong {
     /// The growth with the square of the speed is not in it.
@@ -40,7 +40,7 @@ pub enum Wrong {
 #[derive(Clone, Debug)]
 pub struct Trial {
     seed: u64,
-    /// What is wrong.
+    /// The error in the file.
     pub wrong: Wrong,
     /// The machine file (TOML) that the user believes.
     pub machine: String,

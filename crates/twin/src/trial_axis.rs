@@ -21,7 +21,7 @@ const STEP_S: f64 = 1.0;
 /// Expansion of the screw in µm/(m·K).
 const SCREW_UM_PER_M_PER_C: f64 = 11.5;
 
-/// What is wrong in the file.
+/// The error in the file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WrongAxis {
     /// The screw's expansion is not in it.
@@ -53,7 +53,7 @@ pub enum Act {
 #[derive(Clone, Debug)]
 pub struct AxisTrial {
     seed: u64,
-    /// What is wrong.
+    /// The error in the file.
     pub wrong: WrongAxis,
     /// The machine file (TOML) that the user believes.
     pub machine: String,

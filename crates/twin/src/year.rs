@@ -9,7 +9,7 @@
 //! The machine file is right on the first day. The hall goes from 15 °C in winter to 29 °C in summer; the machine works ten
 //! hours on five days a week, and is probed twice a day. In a year with events a part is changed in spring, a thermometer
 //! is moved in early summer (it shows a share of its rise over the air), and a crash moves the reference in autumn. The error of
-//! a day does not contain the step: whoever crashed touches off again.
+//! a day does not contain the step: after a crash the tool is touched off again.
 
 use std::f64::consts::TAU;
 
@@ -27,7 +27,7 @@ pub enum Kind {
     Axis,
 }
 
-/// What happens in a year.
+/// The events and disturbances of a year, and the checks of the probe.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Happens {
     /// A part changed, a thermometer moved, a crash, wear.

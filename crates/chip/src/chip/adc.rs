@@ -85,7 +85,7 @@ impl Adc {
     }
 }
 
-/// What the three have in common.
+/// The three converters and their common state.
 #[derive(Default)]
 pub struct Adcs {
     pub unit: [Adc; 3],

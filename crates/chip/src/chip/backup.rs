@@ -21,7 +21,7 @@ const BDRST: u32 = 1 << 16;
 const DBP: u32 = 1 << 8;
 const BRE: u32 = 1 << 9;
 
-/// What VBAT keeps.
+/// The backup domain, which VBAT supplies.
 #[derive(Debug)]
 pub struct Backup {
     pub(crate) bdcr: u32,

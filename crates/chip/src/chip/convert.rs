@@ -1,4 +1,4 @@
-//! What the converters do: triggers, sampling times, regular and injected sequences, overrun, requests to
+//! The operation of the converters: triggers, sampling times, regular and injected sequences, overrun, requests to
 //! the DMA (RM0090 sections 13.3 to 13.8), and what the channels see.
 
 use super::{Chip, adc::Adc};

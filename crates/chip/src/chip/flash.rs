@@ -28,7 +28,7 @@ pub struct Flash {
     /// 2: the data cache was on during an erase and has not been reset since.
     pub stale: u32,
     pub stats: Stats,
-    /// What the operation in flight found: where, and the bytes before it.
+    /// The address of the operation in flight, and the bytes there before it.
     pub(crate) before: (u32, Vec<u8>),
 }
 
@@ -88,7 +88,7 @@ impl Chip {
         }
     }
 
-    /// The accelerator is told how the flash is set up; `written` may empty its cache.
+    /// Passes the setting of the flash to the accelerator; `written` may empty its cache.
     pub(crate) fn tell_acr(&self, written: u32) {
         let acr = u64::from(self.flash.acr & 0x707 | written & 0x800);
         let writes = self.shared.acr.load(Ordering::Relaxed) >> 32;

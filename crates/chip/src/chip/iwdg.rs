@@ -10,7 +10,7 @@ use crate::{
 pub struct Iwdg {
     pub(crate) pr: u32,
     pub(crate) rlr: u32,
-    /// What the counter begins at: its reset value, until a reload.
+    /// Start value of the counter: its reset value, until a reload.
     pub(crate) count: u32,
     pub(crate) unlocked: bool,
     pub running: bool,

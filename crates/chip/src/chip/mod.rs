@@ -48,7 +48,7 @@ use tim::Tim;
 use tim11::Tim11;
 use uart::Uart;
 
-/// What the run loop and the bus share without a lock.
+/// State that the run loop and the bus share without a lock.
 #[derive(Debug, Default)]
 pub struct Shared {
     pub now: AtomicU64,
@@ -63,7 +63,7 @@ pub struct Shared {
     pub flag: AtomicU64,
 }
 
-/// What can be broken outside the processor, for checks of the fall-backs.
+/// Faults outside the processor, for checks of the fall-backs.
 #[derive(Clone, Copy, Default, Debug)]
 pub struct Faults {
     pub hse_dead: bool,
@@ -74,7 +74,7 @@ pub struct Faults {
     pub lse_dead: bool,
     /// When a converter stops in the middle of a conversion, for as long as it is on; 0: never.
     pub adc_stalls: u64,
-    /// Nobody acknowledges on the bus.
+    /// No node acknowledges on the bus.
     pub can_alone: bool,
     /// Every frame is destroyed.
     pub can_short: bool,

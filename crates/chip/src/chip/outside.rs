@@ -1,4 +1,4 @@
-//! What happens outside once a millisecond: the CNC speaks, and the client of the serial line.
+//! The world outside, once a millisecond: the CNC speaks, and the client of the serial line.
 
 use super::Chip;
 use crate::time::{ms, us};
@@ -39,7 +39,7 @@ impl Chip {
         self.hear_clients();
     }
 
-    /// What the hosts of the wires say.
+    /// Receives the bytes of the hosts of the wires.
     fn hear_clients(&mut self) {
         for n in 0..self.uart.len() {
             self.world.wires[n].hear_client(self.now);

@@ -261,7 +261,7 @@ impl Chip {
         }
     }
 
-    /// Bytes on the serial line, whoever has sent them.
+    /// Puts the script's bytes, or noise, on the serial line.
     fn script_serial(&mut self, s: &mut Script) {
         let now = self.now;
         if !s.serial.is_empty() {

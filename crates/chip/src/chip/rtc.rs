@@ -29,7 +29,7 @@ pub struct Rtc {
     init_at: u64,
     shadow_at: u64,
     starts_at: u64,
-    /// What reading has locked until the date is read (26.3.6): the time by SSR, the date by SSR or TR.
+    /// Shadow values that a read has locked until the date is read (26.3.6): the time by SSR, the date by SSR or TR.
     locked_time: Option<u32>,
     locked_date: Option<u32>,
     key: Key,

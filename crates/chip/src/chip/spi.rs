@@ -8,7 +8,7 @@ use crate::{
 
 #[derive(Default)]
 pub struct Spi {
-    /// What MISO says whoever is selected, if its wire is stuck.
+    /// The byte on MISO, whichever device is selected, if its wire is stuck.
     pub stuck: Option<u8>,
     pub(crate) cr1: u32,
     pub(crate) cr2: u32,

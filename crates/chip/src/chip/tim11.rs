@@ -1,6 +1,6 @@
 //! TIM11 as a meter of the crystal: its input is HSE_RTC, the crystal divided by RTCPRE (RM0090 7.2.11 and
 //! 19.5.11, TI1_RMP). Only what that needs: up-counting over 16 bits, captures of channel 1 with its
-//! prescaler, the flags. Captures are worked out when somebody looks, because nothing else sees them.
+//! prescaler, the flags. Captures are computed when a register is accessed, because nothing else sees them.
 
 use super::Chip;
 use crate::report::Grade;
@@ -44,7 +44,7 @@ impl Chip {
         ((at - self.tim11.counts_since) / step) as u32 & 0xffff
     }
 
-    /// What has been captured by now.
+    /// Computes the captures up to now.
     fn tim11_look(&mut self) {
         let Some(period) = self.tim11_period() else { return };
         let captures = (self.now - self.tim11.captures_since) / period;

@@ -190,7 +190,7 @@ impl Chip {
         self.uart[n].tx_at = self.now + (bits * TPS as f64 / self.uart_baud(n)) as u64;
     }
 
-    /// Returns whether what goes out reaches the wire: a transceiver of RS-485 has to be told.
+    /// Returns whether the bits sent reach the wire: a transceiver of RS-485 has to be switched to send.
     fn drives(&self, n: usize) -> bool {
         let Some((port, pin)) = self.world.wires[n].drive else { return true };
         self.pin_mode(port, pin) == 1 && self.gpio[port].odr >> pin & 1 != 0

@@ -1,10 +1,11 @@
 //! Faults from outside that no program asks for: a bit that flips, a converter or a stream that fails, a line that is
-//! disturbed, a bus whose wire is stuck, a battery that is flat, a calendar that somebody has set. What the chip makes of them is the manual's.
+//! disturbed, a bus whose wire is stuck, a battery that is flat, a calendar that was set. Their effects on the chip are
+//! the manual's.
 
 use super::Chip;
 use crate::report::Grade;
 
-/// What a byte on the serial line is disturbed by.
+/// A disturbance of bytes on the serial line.
 #[derive(Clone, Copy, Default)]
 pub struct Disturbance {
     /// Bytes that are still to be disturbed.

@@ -1,4 +1,4 @@
-//! What RM0090 section 13 and the data sheet say of the converters, tried on the model.
+//! Statements of RM0090 section 13 and of the data sheet on the converters, tried on the model.
 
 use crate::bench::{ADC1, Bench, DMA2, GPIOA, RCC, TIM3, clocked};
 use trueup_chip::{

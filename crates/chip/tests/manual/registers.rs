@@ -1,4 +1,4 @@
-//! What the manual says of the registers, tried on the model: reset values, bits that clear on 0 or on 1,
+//! The manual's statements on the registers, tried on the model: reset values, bits that clear on 0 or on 1,
 //! what happens unclocked, keys. Section numbers are RM0090's.
 
 use crate::bench::{

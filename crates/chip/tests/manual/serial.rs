@@ -1,4 +1,4 @@
-//! What the manual says of the serial units, tried on USART3 with a wire of RS-485. Section numbers are RM0090's.
+//! The manual's statements on the serial units, tried on USART3 with a wire of RS-485. Section numbers are RM0090's.
 
 use crate::bench::{Bench, GPIOB, RCC, clocked};
 use trueup_chip::{report::Grade, time::us};

@@ -1,4 +1,4 @@
-//! What a bridge asks its operator, read and said: until it is answered nothing is engaged.
+//! The questions of a bridge to its operator, read and said: until they are answered nothing is engaged.
 
 use anyhow::Result;
 use trueup_client::{

@@ -4,7 +4,7 @@
 //! The calibration goes back whole, with its names. The reference that `Zero` has taken is offered to the operator,
 //! who takes it by `Confirm`: the tools may have been touched off with another one since. The log of writes is a
 //! board's own and stays in the file to be read. Where a reference cannot be offered (`--keep-running`; a firmware
-//! that lets nobody write one) `restore` warns, and ends with 3, because offsets would count from another zero.
+//! in which none can be written) `restore` warns, and ends with 3, because offsets would count from another zero.
 
 use std::{
     fs,
@@ -79,7 +79,7 @@ pub fn save(args: &Save, as_json: bool) -> Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Saves a bridge to a file. What the file holds of another machine is not replaced without a yes.
+/// Saves a bridge to a file. A file that holds anything else than its backup is not replaced without a yes.
 pub fn saved(
     session: &mut Session,
     file: &Path,
@@ -125,7 +125,7 @@ fn other_content(file: &Path, owner: &Owner) -> Option<String> {
     }
 }
 
-/// What came of a restore.
+/// The result of a restore.
 pub struct Restored {
     /// Of its calibration.
     pub loaded: Loaded,

@@ -44,7 +44,7 @@ pub struct Ask {
 /// How long answers, a heartbeat and offsets are waited for: 20 heartbeats.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What is known of a bridge.
+/// Messages received from a bridge.
 #[derive(Default)]
 struct Info {
     version: Option<String>,
@@ -84,7 +84,7 @@ impl Info {
     }
 }
 
-/// What the bridge says of itself when it is asked by SDO.
+/// Objects of the bridge, read by SDO.
 struct Objects {
     device: String,
     hardware: String,
@@ -100,7 +100,7 @@ struct Objects {
     /// Who has written to the board, the last at the end.
     writes: Vec<Write>,
     reference: BridgeReference,
-    /// What was learned, as it is applied, in words; `None`: nothing.
+    /// The learned values as they are applied, in words; `None`: none.
     learned: Option<String>,
     /// Tool and conditions that its terms go by, in words; `None`: they need none.
     conditions: Option<String>,
@@ -108,7 +108,7 @@ struct Objects {
     state: Vec<&'static str>,
     asks: Asks,
     reset: ResetReason,
-    /// What it left behind, in words; empty: nothing.
+    /// The traces of its last stop, in words; empty: none.
     stop: String,
     /// How often it has started since power-on, and why.
     resets: Vec<(&'static str, u32)>,
@@ -166,7 +166,7 @@ impl Objects {
     }
 }
 
-/// Returns what was learned, in words. A bridge from before it could be told knows nothing of it.
+/// Returns the learned values in words; none of a bridge whose firmware is older than they are.
 fn learned(session: &mut Session) -> Option<String> {
     let amounts =
         object::LEARNED.map(|at| object::number(session, at).unwrap_or_default().cast_signed());
@@ -223,13 +223,13 @@ fn resets(session: &mut Session) -> Result<Vec<(&'static str, u32)>> {
     Ok(all)
 }
 
-/// What the machine file makes of the bridge's calibration.
+/// The comparison of the bridge's calibration with the machine file.
 enum Comparison {
     /// No file was given, or the bridge did not answer.
     None,
     /// It runs on nothing that can be compared.
     Nothing,
-    /// What differs from what it runs on, a sentence each; empty: nothing.
+    /// The differences from the calibration that it runs on, a sentence each; empty: none.
     Differences(Vec<String>),
 }
 

@@ -57,7 +57,7 @@ pub struct How {
 }
 
 impl How {
-    /// Somebody is there to be asked, or need not be.
+    /// Checks that the user can be asked, or need not be.
     pub fn can_ask(self, as_json: bool) -> Result<(), UserError> {
         if self.yes || !as_json && stdin().is_terminal() {
             return Ok(());
@@ -68,17 +68,17 @@ impl How {
     }
 }
 
-/// What became of a load.
+/// The result of a load.
 pub struct Loaded {
     /// CRC of the calibration that was loaded.
     pub crc: u32,
     /// CRC of the one that the bridge runs on now.
     pub running: u32,
-    /// What it has changed; `None`: the bridge ran on nothing that could be compared.
+    /// The changes by it; `None`: the bridge ran on nothing that could be compared.
     pub differences: Option<Vec<String>>,
     /// The reference before and after.
     pub references: [BridgeReference; 2],
-    /// What the bridge asks its operator now.
+    /// The questions of the bridge to its operator now.
     pub asks: Asks,
 }
 

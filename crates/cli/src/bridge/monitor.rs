@@ -35,7 +35,7 @@ pub struct Monitor {
     /// Record nothing of a bridge that runs on another calibration than the machine file makes: exit 2.
     #[arg(long, requires = "machine", requires = "record")]
     strict: bool,
-    /// What the gauge measures: the growth of the tool, or the error of an axis.
+    /// The quantity that the gauge measures: the growth of the tool, or the error of an axis.
     #[arg(long, value_name = "QUANTITY", value_enum, default_value_t = Gauge::Elongation)]
     gauge: Gauge,
     /// A gauge that sends its readings: a serial device or tcp:HOST:PORT; Mitutoyo Digimatic

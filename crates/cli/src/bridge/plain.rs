@@ -185,7 +185,7 @@ fn reopened(
 
 /// The calibration that the bridge should run.
 struct Calibration {
-    /// What the machine file makes.
+    /// The CRC of the machine file's calibration.
     expected: Option<u32>,
     /// Any other is refused.
     is_strict: bool,
@@ -214,13 +214,13 @@ impl Calibration {
     }
 }
 
-/// Returns the CRC of what `compile` makes of a machine file. What does not compile cannot be compared.
+/// Returns the CRC of the calibration of a machine file; `None`: it cannot be read or does not compile.
 fn compiled_crc(machine: &Path) -> Option<u32> {
     let machine = MachineFile::read(machine).ok()?;
     compile(&machine).ok().map(|compiled| compiled.crc())
 }
 
-/// What was received since the start, and since the last line.
+/// Counts and newest values since the start, and since the last line.
 #[derive(Default)]
 struct Tally {
     offsets: OffsetReceiver,

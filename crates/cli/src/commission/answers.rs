@@ -1,4 +1,4 @@
-//! What the person at the machine answers: typed, or from a file with a line for each question.
+//! The answers of the person at the machine: typed, or from a file with a line for each question.
 
 use std::{
     collections::VecDeque,
@@ -17,7 +17,7 @@ use crate::UserError;
 
 /// How often Ctrl-C is looked for.
 const LOOK: Duration = Duration::from_millis(100);
-/// What the key Esc types.
+/// The character of the key Esc.
 const ESCAPE: char = '\u{1b}';
 
 /// The answers.

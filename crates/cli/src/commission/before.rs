@@ -1,4 +1,4 @@
-//! What a board holds before the sign test: saved to a file, and put back after it, whatever has become of the test.
+//! The content of a board before the sign test: saved to a file, and put back after it, whatever becomes of the test.
 //!
 //! The test's calibration gives 10 µm whatever the machine does. A board that corrects a machine must not be left with
 //! it, so what it held is saved first; if it corrects something else than the machine file says, or has a reference,
@@ -45,15 +45,15 @@ pub fn check_interrupt() -> Result<()> {
     }
 }
 
-/// What is to be put back.
+/// The state to put back.
 pub enum Held {
     /// The board has corrected nothing.
     Nothing,
-    /// What stands in this file.
+    /// The content of this file.
     Saved(String),
 }
 
-/// What a board is and holds.
+/// The owner and the content of a board.
 struct Now {
     /// The CRC of its calibration; 0: it has none, or an example's.
     crc: u32,

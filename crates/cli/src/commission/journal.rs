@@ -1,4 +1,4 @@
-//! What was done: the step that comes next in `commission.json`, and every command in `log.txt`.
+//! The journal: the step that comes next in `commission.json`, and every command in `log.txt`.
 
 use std::{
     fs::{self, OpenOptions},
@@ -66,10 +66,10 @@ impl Step {
     }
 }
 
-/// What was done, in a folder.
+/// The journal of a commissioning, in a folder.
 pub struct Journal {
     folder: PathBuf,
-    /// What is commissioned.
+    /// The kind of commissioning, with its axis, in words.
     subject: String,
     /// The step to be done.
     pub next: Step,

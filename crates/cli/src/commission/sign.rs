@@ -122,7 +122,7 @@ pub fn is_given(output: &Output, direction: [f64; 3]) -> bool {
     (along + GROWTH_UM).abs() <= GIVEN_WITHIN_UM
 }
 
-/// What the reading says.
+/// The verdict on the reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     Right,

@@ -9,7 +9,7 @@ use trueup_link::{receiver::OffsetReceiver, slcan::Event};
 
 use super::before::check_interrupt;
 
-/// Somebody walks to the machine, sets a gauge and comes back.
+/// Time to walk to the machine, set a gauge and come back.
 const PATIENCE: Duration = Duration::from_secs(600);
 
 /// How often Ctrl-C is looked for.

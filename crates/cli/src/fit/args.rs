@@ -1,4 +1,4 @@
-//! What `trueup fit` takes on its command line.
+//! The command line of `trueup fit`.
 
 use std::path::PathBuf;
 
@@ -51,7 +51,7 @@ impl Kind {
     }
 }
 
-/// What was measured, and what is believed.
+/// The runs, and the machine file.
 #[derive(Args)]
 pub struct Measured {
     /// A run file.
@@ -90,7 +90,7 @@ impl Error {
     }
 }
 
-/// What a curve of straightness is made by.
+/// Options of a curve of straightness.
 #[derive(Args)]
 pub struct Curve {
     #[command(flatten)]
@@ -248,7 +248,7 @@ pub struct Pitch {
 
 #[derive(Clone, Copy, ValueEnum)]
 pub enum Ways {
-    /// What gains on repeats left out.
+    /// The choice that gains on repeats left out.
     Automatic,
     /// One table, and also a backlash if that gains.
     One,

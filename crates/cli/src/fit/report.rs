@@ -1,4 +1,4 @@
-//! What `trueup fit` prints.
+//! The output of `trueup fit`.
 
 use std::path::Path;
 

@@ -53,7 +53,7 @@ impl From<By> for Entry {
     }
 }
 
-/// What is done with a configuration.
+/// The task on a configuration.
 #[derive(Subcommand)]
 pub enum Command {
     /// Checks a LinuxCNC configuration: what stands in the way of offsets, what they cost, how fast they are.

@@ -36,7 +36,7 @@ fn port(line: &str) -> &str {
     line.split(' ').skip_while(|word| *word != "--port").nth(1).expect("it has one")
 }
 
-/// What the indicator shows with compensation: what the fitted file leaves of `quantity`, next to the columns
+/// Writes the indicator's record with compensation: what the fitted file leaves of `quantity`, next to the columns
 /// that `accept` pairs rows by.
 fn with_compensation(desk: &Desk, machine: &str, quantity: &str, kept: &[&str]) {
     desk.said(&format!("predict --machine {machine} --run off.csv -o predicted.csv"), 0);

@@ -1,4 +1,4 @@
-//! `commission` on the real firmware in QEMU (`trueup virtual`), by somebody who types in a terminal, in three
+//! `commission` on the real firmware in QEMU (`trueup virtual`), by a user who types in a terminal, in three
 //! sittings. The machine is played here: the sensor shows 0.7 of what the spindle grows, and the gauge what
 //! is left of it by the offsets that the board gives.
 #![cfg(target_os = "linux")]
@@ -23,17 +23,17 @@ use crate::terminal::Terminal;
 /// Of the paper's sensor.
 const ZERO_COUNTS: f64 = 5_048.0;
 const UM_PER_COUNT: f64 = 500.0 / 32_768.0;
-/// What it shows of the growth.
+/// The share of the growth that it shows.
 const GAIN: f64 = 0.7;
 const STEP_MS: u32 = 20;
 
-/// What the machine does, and what the board says to it.
+/// The state of the machine, and the board's offset.
 #[derive(Default)]
 struct Now {
     growth_um: f64,
     offset_z_um: f64,
     lived_ms: u32,
-    /// Its time passes as fast as it can: nobody talks to the board.
+    /// Its time passes as fast as it can: no program talks to the board.
     is_free: bool,
     is_over: bool,
 }

@@ -1,4 +1,4 @@
-//! What an installed tool brings along: examples, completions, the manual's pages, the firmware.
+//! Files that an installed tool brings along: examples, completions, the manual's pages, the firmware.
 
 use crate::desk::Desk;
 

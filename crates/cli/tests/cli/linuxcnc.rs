@@ -1,9 +1,9 @@
-//! `trueup linuxcnc` tells what is wrong before it touches LinuxCNC. That it works, the tests with the
+//! `trueup linuxcnc` reports what is wrong before it touches LinuxCNC. That it works, the tests with the
 //! real LinuxCNC show (`host-tests`): here it never gets as far, so that none has to be installed.
 
 use crate::desk::Desk;
 
-/// A bridge that nobody asks.
+/// A bridge that is never asked.
 const PORT: &str = "--port tcp:127.0.0.1:1";
 
 fn refused(desk: &Desk, line: &str, phrase: &str) {

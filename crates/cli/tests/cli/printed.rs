@@ -1,6 +1,6 @@
 //! Lines that a page, a file, a help or a command prints run as printed: the blocks of every page of the book, the end of a
 //! file of `trueup new`, the examples of each `--help`, and what a program or a diagnosis says to type next; in their order,
-//! with the run files filled in between. What a computer without a machine cannot run has its reason in [`ELSEWHERE`].
+//! with the run files filled in between. Lines that need a machine have their reason in [`ELSEWHERE`].
 
 use std::{
     collections::BTreeMap,

@@ -79,7 +79,7 @@ const LINES: [&str; 42] = [
     "virtual --machine bad.toml --run run.csv",
 ];
 
-/// What is wrong with a stream.
+/// The state of a stream.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Stream {
     Whole,

@@ -164,7 +164,7 @@ fn the_reference_that_zero_had_taken_goes_with_it_and_where_it_cannot_that_is_to
     assert!(out.contains("\"reference\":false"), "{out}");
 }
 
-/// A reference that somebody has edited in: by 2.1 m, and by 30 µm.
+/// An edited reference: by 2.1 m, and by 30 µm.
 const HUGE: &str = r#""reference": {"elongation_nm": 2100000000, "x_nm": 0, "y_nm": 0, "z_nm": 0}"#;
 const SMALL: &str = r#""reference": {"elongation_nm": 30000, "x_nm": 0, "y_nm": 0, "z_nm": 0}"#;
 

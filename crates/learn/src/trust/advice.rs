@@ -24,7 +24,7 @@ pub(super) enum Compared {
     Sensor(ElongationSource),
 }
 
-/// What a difference depends on.
+/// The variable that a difference depends on.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Cause {
     Nothing,

@@ -22,7 +22,7 @@ const LARGE_BOUNDS: [f64; 2] = [2.5, 3.5];
 /// Halvings until h is known to a thousandth.
 const HALVINGS: usize = 18;
 
-/// What the record of the calibration leaves open: both in standard deviations of e.
+/// The uncertainty that the record of the calibration leaves: both in standard deviations of e.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Open {
     /// b.

@@ -42,7 +42,7 @@ const NEXT: f64 = 1.5;
 /// a day has few in 1,000 hours.
 const FEWEST_ROWS: f64 = 1000.0;
 
-/// What the noise was when the calibration was right.
+/// The noise when the calibration was right.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Noise {
     /// The mean of measured less predicted, in µm: the reference may be arbitrary.
@@ -90,7 +90,7 @@ pub struct Alarm {
 /// The result of a watch over a record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Trust {
-    /// What the noise was when the calibration was right.
+    /// The noise when the calibration was right.
     pub noise: Noise,
     /// The rows that were looked at.
     pub rows: usize,

@@ -18,7 +18,7 @@ const _: () = assert!(MAX_OFFSET_NM < OFFSET_MAX_RAW * NANOMETRES_PER_BIT, "the 
 /// The fastest slew limit, in nm/s: 10 mm/s, a hundredth of a millimetre in a tick. Siemens permits a
 /// temperature compensation up to 10 % of an axis's speed (MD32760 ≤ 0.10), which this is of 6 m/min.
 pub const MAX_SLEW_NM_PER_S: u32 = 10_000_000;
-/// The longest link timeout, in ms: a minute. Nobody who is silent for longer is there.
+/// The longest link timeout, in ms: a minute. A CNC that is silent for longer is gone.
 pub const MAX_LINK_TIMEOUT_MS: u32 = 60_000;
 /// The longest hold, in ms: ten minutes, in which a spindle that is not watched takes on most of its
 /// heat.
@@ -29,8 +29,8 @@ pub const MAX_REJOIN_NM_PER_S: u32 = 1_000;
 /// Within how much thermometers of a cold machine may agree at the most: 5 K, as the air of a hall differs
 /// over 5 m of height (1 K/m).
 pub const MAX_COLD_WITHIN: Temperature = Temperature(5 * Temperature::PER_KELVIN);
-/// The most that any calibration lets what was learned change: a quarter of the growth and of an expansion,
-/// to which a maker knows them, and 20 µm of the zero. What is farther off is another machine, and is to be measured.
+/// The most that any calibration lets what was learned change: a quarter of the growth and of an expansion, to which
+/// a maker knows them, and 20 µm of the zero. A larger change means another machine, which is to be measured.
 pub const MAX_LEARNED: Caps = Caps { growth: 250, axes: 250, zero: 200 };
 /// Bytes of the mark, the schema and the length, at the start.
 pub(super) const HEAD_SIZE: usize = 8;

@@ -299,7 +299,7 @@ pub(super) const fn linear_axis(number: u32) -> Option<LinearAxis> {
     }
 }
 
-/// What is connected to a temperature channel, and how fast it may change: kind, shift, two bytes of the rate, zero,
+/// The thermometer of a temperature channel, and how fast it may change: kind, shift, two bytes of the rate, zero,
 /// slope. The rate is 0 in a blob from before it was known: the default.
 pub(super) struct Connected(pub Option<Thermometer>, pub u16);
 

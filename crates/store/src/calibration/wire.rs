@@ -67,7 +67,7 @@ macro_rules! record {
 
 pub(super) use {fields, numbers, record};
 
-/// Fills the fixed part from `at` on, and puts each table behind the last one. What does not fit is
+/// Fills the fixed part from `at` on, and puts each table behind the last one. Bytes that do not fit are
 /// counted, not written.
 pub(super) struct Writer<'o> {
     out: &'o mut [u8],

@@ -1,4 +1,4 @@
-//! Writes next to references: told again after a power cut, and the names outlast every erase.
+//! Writes next to references: listed again after a power cut, and the names outlast every erase.
 
 use super::{tests::*, *};
 use crate::writes::Origin;

@@ -13,7 +13,7 @@ use crate::{axes::NAMES as AXES, noise::Stream, table::RunTable};
 
 const QUANTITIES: [&str; 3] = ["dx", "dy", "dz"];
 
-/// What the machine file says of the axis's heat.
+/// The machine file's law of the axis's heat.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct ThermalLaw {
     pub reference_c: f64,

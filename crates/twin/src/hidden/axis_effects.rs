@@ -1,4 +1,4 @@
-//! What each cause does to the error of an axis.
+//! The effect of each cause on the error of an axis.
 
 use super::{
     axis::{AxisBench, walk},
@@ -285,7 +285,7 @@ fn tilt_table(knots: &[f64], controls: &[f64], factor: f64) -> Named {
 }
 
 /// Draws a screw or a scale that grows with its temperature, which follows its thermometer late or at once, while
-/// the machine file says nothing of it. What is warm is longer: c is never negative.
+/// the machine file says nothing of it. A warm part is longer: c is never negative.
 fn expansion(bench: &AxisBench, stream: &mut Stream) -> Shape {
     let tau_s = if stream.chance(0.33) { 0.0 } else { stream.log_uniform(100.0, 2500.0).round() };
     let reference_c = stream.uniform(18.0, 22.0).round();

@@ -1,4 +1,4 @@
-//! What may be hidden in a challenge.
+//! Causes that may be hidden in a challenge.
 
 /// Where a challenge's believed model stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,7 +17,7 @@ pub(super) enum Base {
 
 macro_rules! causes {
     ($($(#[$doc:meta])* $variant:ident = $name:literal, $expected:ident, [$($base:ident),+];)+) => {
-        /// What may be hidden: every cause of the diagnosis' table, nothing but noise, and effects
+        /// A cause that may be hidden: every cause of the diagnosis' table, nothing but noise, and effects
         /// that have no name there.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Hidden { $($(#[$doc])* $variant,)+ }
@@ -67,7 +67,7 @@ macro_rules! causes {
     };
 }
 
-/// What a diagnosis should make of a challenge.
+/// The answer expected from a diagnosis of a challenge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {
     /// Verdict `clean`: there is nothing but noise.
@@ -147,7 +147,7 @@ causes! {
     ExpansionConstant = "expansion-constant", Compensated, [AxisThermal];
     /// The thermometer that the growth is believed by follows its part by a lag.
     ThermometerLag = "thermometer-lag", Reported, [Temperature];
-    /// `drift` where nobody wrote down the time: p + c·run, c in µm.
+    /// `drift` where the time was not recorded: p + c·run, c in µm.
     DriftByRun = "drift-by-run", Reported, [AxisGeometry];
     /// p + θ(P)·(L − L₀)/1000: the axis tilts along its travel P, by θ in µrad, and the tool is off by
     /// the tilt times its lever L along another axis. θ is a line or a smooth curve.
@@ -162,6 +162,6 @@ causes! {
     Abbe = "unnamed-abbe", Compensated, [AxisGeometry];
     /// The shaft bows under its unbalance, outwards below a critical speed and inwards above it.
     CriticalSpeed = "unnamed-critical-speed", Unnamed, [Sensor, Temperature];
-    /// p + a·sin(2πt/L + φ): something that nobody recorded switches with the clock.
+    /// p + a·sin(2πt/L + φ): an input that was not recorded switches with the clock.
     PeriodicInTime = "periodic-in-time", Reported, [Sensor, Temperature];
 }

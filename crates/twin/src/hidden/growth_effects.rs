@@ -1,4 +1,4 @@
-//! What each cause does to an elongation.
+//! The effect of each cause on an elongation.
 
 use std::f64::consts::TAU;
 

@@ -59,18 +59,18 @@ pub struct Challenge {
     pub holdout: String,
     /// The machine file (TOML): right but for the hidden effect.
     pub machine: String,
-    /// What is measured: `elongation`, `dx`, `dy` or `dz`.
+    /// The measured quantity: `elongation`, `dx`, `dy` or `dz`.
     pub quantity: &'static str,
-    /// What is hidden: the right answer.
+    /// The hidden effects: the right answer.
     pub truth: Truth,
 }
 
-/// What is hidden in a challenge.
+/// The hidden effects of a challenge, and the parts of its data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
     /// None where there is only noise; two in a pair.
     pub effects: Vec<Effect>,
-    /// What a diagnosis should make of it.
+    /// The answer expected from a diagnosis.
     pub expected: Expected,
     /// RMS of the noise (with the rounding) over the training rows, in µm.
     pub noise_rms_um: f64,
@@ -78,15 +78,15 @@ pub struct Truth {
     pub noise_rho: f64,
     /// The instrument's last digit in µm.
     pub quantum_um: f64,
-    /// What the machine file says of each row of `runs`, one after the other, in µm.
+    /// The machine file's prediction of each row of `runs`, one after the other, in µm.
     pub believed_um: Vec<f64>,
     /// The sum of the effects on each row of `runs`, in µm, without noise.
     pub effect_um: Vec<f64>,
-    /// What the machine file says of each row of `holdout`, in µm.
+    /// The machine file's prediction of each row of `holdout`, in µm.
     pub holdout_believed_um: Vec<f64>,
     /// The sum of the effects on each row of `holdout`, in µm, without noise.
     pub holdout_effect_um: Vec<f64>,
-    /// What was measured less the two above, for each row of `holdout`, in µm; NaN where nothing was
+    /// The measured values less the two above, for each row of `holdout`, in µm; NaN where nothing was
     /// measured. A perfect diagnosis leaves this.
     pub holdout_noise_um: Vec<f64>,
 }
@@ -94,7 +94,7 @@ pub struct Truth {
 /// One hidden effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effect {
-    /// What was hidden.
+    /// The hidden cause.
     pub cause: Hidden,
     /// The column that it hangs on, where there is a choice.
     pub column: Option<String>,
@@ -107,9 +107,9 @@ pub struct Effect {
     pub rms_um: f64,
     /// Causes that explain these data as well as the true one.
     pub rivals: Vec<Hidden>,
-    /// What it does to each row of the training runs, in µm.
+    /// Its effect on each row of the training runs, in µm.
     pub um: Vec<f64>,
-    /// What it does to each row of the hold-out, in µm.
+    /// Its effect on each row of the hold-out, in µm.
     pub holdout_um: Vec<f64>,
 }
 
@@ -147,7 +147,7 @@ pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
 }
 
 /// Returns a challenge with two causes in it, each `ratio` times as large as the noise. `None` if there is
-/// no machine on which both can be told.
+/// no machine on which both can be distinguished.
 #[must_use]
 pub fn draw_pair(first: Hidden, second: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {
     let shared: Vec<Base> =

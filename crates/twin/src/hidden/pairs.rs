@@ -2,7 +2,7 @@
 
 use super::Hidden;
 
-/// Pairs that a diagnosis can tell from every single cause and from each other.
+/// Pairs that a diagnosis can distinguish from every single cause and from each other.
 pub const PAIRS: &[(Hidden, Hidden)] = &[
     (Hidden::SensorGain, Hidden::SensorOffset),
     (Hidden::SensorGain, Hidden::SensorTemperatureDrift),
@@ -36,7 +36,7 @@ const ONE_GROWTH: [Hidden; 5] = [
 const OF_THE_SIGNAL: [Hidden; 3] =
     [Hidden::SensorOffset, Hidden::SensorGain, Hidden::SensorCurvature];
 
-/// What needs a path of its own along the axis.
+/// The path along the axis that a cause needs of its own.
 #[derive(PartialEq, Eq)]
 enum Path {
     /// The same targets again and again, over hours.

@@ -1,6 +1,6 @@
-//! What may be wrong with a machine, and how much of it is a size of 1.
+//! Physical faults of a machine, and how large each is at a size of 1.
 //!
-//! A size is above 0. What a fault does grows with it, in proportion or nearly so; a direction that can
+//! A size is above 0. The effect of a fault grows with it, in proportion or nearly so; a direction that can
 //! be either is drawn with the machine.
 
 macro_rules! faults {

@@ -13,7 +13,7 @@ use crate::{
 /// The temperature that a room is held at, and at which everything is right, in °C.
 pub(super) const HELD_C: f64 = 20.0;
 
-/// What kind of machine, and what its file says of it.
+/// The kind of machine, with the laws in its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
     /// A motor spindle with a displacement sensor in its nose; the file has the sensor's law.

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A fault is a change of what the virtual machine tool is: a conductance, a length, a stiffness, the
-//! place of a thermometer. What it does to the record follows from the physics of [`crate::spindle`],
+//! place of a thermometer. Its effect on the record follows from the physics of [`crate::spindle`],
 //! [`crate::axes`] and [`crate::sensors`], together with all other faults of that machine. Without a
 //! fault the machine file predicts every row but for the noise of gauge and sensors. Which cause a
 //! diagnosis has to name for a fault is said elsewhere, in `docs/physical-faults.md`; nothing here

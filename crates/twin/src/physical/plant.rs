@@ -10,11 +10,11 @@ use crate::{ambient::AmbientConfig, noise::Stream, scenario::Scenario};
 /// A machine.
 #[derive(Clone, Debug)]
 pub struct Plant {
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// The machine file of its user (TOML): what the machine is without a fault.
     pub machine: String,
-    /// What the gauge measures: `elongation` or `dx`.
+    /// The quantity that the gauge measures: `elongation` or `dx`.
     pub quantity: &'static str,
     /// The gauge's own noise in µm, standard deviation.
     pub gauge_um: f64,

@@ -30,7 +30,7 @@ use crate::wire::{ReceivedBytes, Tools, damaged, write_all};
 /// The paper's spindle.
 pub const PAPER: &str = include_str!("../../../../../data/paper_spindle.toml");
 
-/// What is wrong with the bridge.
+/// The fault of the bridge.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Fault {
     None,
@@ -52,7 +52,7 @@ pub enum Fault {
     OtherSource,
     /// Its CNC has set `Zero` where the spindle had grown by 2.5 µm.
     Zeroed,
-    /// Its firmware lets nobody write a reference.
+    /// Its firmware does not let a reference be written.
     Older,
     /// Its CNC says nothing more once a second tool has opened the line.
     CncLeaves,

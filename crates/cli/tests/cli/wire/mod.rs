@@ -65,7 +65,7 @@ pub fn damaged(frame: &Frame) -> Frame {
     Frame::new(frame.id(), &data[..frame.len().into()]).expect("the frame's own identifier")
 }
 
-/// What the bridge has received from its client.
+/// Bytes and frames that the bridge has received from its client.
 #[derive(Default)]
 pub struct ReceivedBytes {
     pub bytes: Vec<u8>,
