@@ -29,8 +29,8 @@ pub use crate::fault::{Fault, Faults};
 /// Emergencies that are remembered.
 pub const HISTORY: usize = 8;
 
-/// Returns the faults that an output reports by its flags. `SensorFault` and `CncLost` stand for several sources; each of
-/// these has its own fault.
+/// Returns the faults that an output reports by its flags. `SensorFault` and `CncLost` stand for several sources; each
+/// of these has its own fault.
 #[must_use]
 pub fn faults_of(output: &Output) -> Faults {
     Faults::default()

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | 0x01 start, 0x02 stop, 0x80 pre-operational | no effect |
 //! | 0x81 reset node | the board restarts, if no offset is followed; else no effect |
-//! | 0x82 reset communication | heartbeats, inhibit time and the SDO server as at the start, boot-up message; the offsets go on |
+//! | 0x82 reset communication | heartbeats, inhibit time, SDO server as at the start, boot-up; the offsets go on |
 //!
 //! A machine relies on the offsets while it cuts, and an NMT command is two bytes that nothing
 //! protects, often sent to all nodes of a bus by a tool that knows none of them. So none of them

@@ -193,8 +193,8 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     })
 }
 
-/// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so fast
-/// that a board would doubt its thermometers.
+/// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so
+/// fast that a board would doubt its thermometers.
 fn factor_of_time(first: &RunFile, second: &RunFile) -> Result<f64> {
     let times = first.require("time_s")?;
     let span_s = times[times.len() - 1] - times[0];

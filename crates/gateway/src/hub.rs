@@ -9,7 +9,7 @@
 //! | the PLC | the bridge |
 //! |---|---|
 //! | a block in step | its frames |
-//! | the first block after a silence of [`MASTER_LASTS`], and what comes on its heels | nothing: it may have waited in a line that stalled |
+//! | the first block after [`MASTER_LASTS`] of silence, and those on its heels | nothing: it may be of a stalled line |
 //! | `Engage` while the bridge runs on another calibration than the pinned one | `Engage` and `Zero` 0 |
 //!
 //! A block is made whole and replaced whole, so a reader gets one moment's.

@@ -5,8 +5,8 @@
 //!             by member: how often, which values                     any 24 h: ≤ 250 kB + 734 kB
 //! ```
 //!
-//! Without changes a line comes each [`PERIOD`]. A line that flaps uses up the allowance; its changes are then counted and
-//! written with the next line, which comes as soon as it is allowed. Time is an argument.
+//! Without changes a line comes each [`PERIOD`]. A line that flaps uses up the allowance; its changes are then counted
+//! and written with the next line, which comes as soon as it is allowed. Time is an argument.
 
 use std::{collections::BTreeMap, time::Duration};
 
