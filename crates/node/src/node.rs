@@ -3,7 +3,7 @@
 //! This is the whole of what a board does between its converter and its wires, without any
 //! hardware, so the host can run the same thing.
 //!
-//! The tick makes offsets and nothing else. All else that a CANopen node has to say, the heartbeat,
+//! The tick makes offsets and nothing else. The rest of a CANopen node's messages, the heartbeat,
 //! emergencies, the status, answers to SDO requests, is [`Node::service`], which a board calls from a task that
 //! a tick interrupts.
 

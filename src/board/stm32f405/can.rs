@@ -6,7 +6,7 @@
 //! frame takes the place of one that still waits there. And `bxcan` waits without a limit for the
 //! controller to answer; here a controller that does not answer is dead, and everything is inert.
 //!
-//! Frames of the CNC are spread over both FIFOs of three: a cycle of its six fast ones, back to back,
+//! Frames of the CNC are spread over both FIFOs of three: a cycle of the six fast ones, back to back,
 //! fits whole, so the tasks have time until the next cycle. `Conditions` comes twenty times a second; if one is
 //! lost to a full FIFO, the next is there long before its timeout.
 //!

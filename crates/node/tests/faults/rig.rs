@@ -33,7 +33,7 @@ const TAU_S: f64 = 900.0;
 /// The spindle's thermometer, and that of X.
 pub const SPINDLE_CHANNEL: usize = 2;
 pub const AXIS_CHANNEL: usize = 4;
-/// Raw units of a thermometer per kelvin: a nanometre of growth is about one of the spindle's, two of the axis's.
+/// Raw units of a thermometer per kelvin: a nanometre of growth is about one for the spindle, two for the axis.
 const RAW_PER_K: f64 = 4_096.0;
 const SPINDLE_NM_PER_K: f64 = 4_000.0;
 const AXIS_NM_PER_K: f64 = 2_000.0;
