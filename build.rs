@@ -11,7 +11,7 @@ use trueup_machine::{compile::compile, file::MachineFile};
 #[path = "commit.rs"]
 mod commit;
 
-/// What an image is for that nobody gave a machine file.
+/// The machine file of an image that was built without one.
 const EXAMPLE: &str = "data/paper_spindle.toml";
 
 /// Where the stack of the board that is flashed ends, and what lies below it.

@@ -1,7 +1,7 @@
-//! A board that breaks when it is told to (feature `faults`): for the tests of what becomes of it, never for a machine.
+//! A board that breaks on command (feature `faults`): for the tests of what becomes of it, never for a machine.
 //!
-//! The key is a word of RAM that a debugger, or the model of the chip, writes: the number of a task, which then hangs in
-//! its next turn, or one of those in [`provoke`], which the supervisor does.
+//! The key is a word of RAM that a debugger, or the model of the chip, writes: the number of a task, which then hangs
+//! in its next turn, or one of those in [`provoke`], which the supervisor does.
 
 use core::{
     arch::asm,
@@ -20,7 +20,7 @@ pub fn hang_if(task: u32) {
     while KEY.load(Ordering::Relaxed) == task {}
 }
 
-/// What the key says, once.
+/// Does what the key says, once.
 #[inline(never)]
 #[allow(unsafe_code, reason = "what no code should do, on purpose")]
 pub fn provoke() {

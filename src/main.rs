@@ -25,13 +25,14 @@
 //! | `thermometers` | `supervise` | 1 | 1 s, then the channels count as bad | SPI2 | temperatures |
 //! | `idle` | nothing else to do | 0 | | | |
 //!
-//! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`; docs/robustness.md): no
-//! task waits for half its deadline, on any clock. Interrupts are off for 15 µs at the
-//! longest, 135 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on 16 MHz,
-//! and the serial line where its DMA is dead.
+//! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
+//! docs/robustness.md): no task waits for half its deadline, on any clock. Interrupts are off for 15 µs at the
+//! longest, 135 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
+//! 16 MHz, and the serial line where its DMA is dead.
 //!
-//! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on every board; what a board is, is behind [`board`]. What the bridge
-//! computes is in `trueup-core`, what it says in `trueup-link`, both tested on the host.
+//! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on
+//! every board; what a board is, is behind [`board`]. The computation of the bridge is in `trueup-core`, its messages
+//! are in `trueup-link`, both tested on the host.
 #![no_std]
 #![no_main]
 
@@ -96,7 +97,7 @@ mod app {
         serial_out: SerialOut,
         can_out: CanOut,
         samples: Samples,
-        /// What the thermometers say, until a tick takes it.
+        /// Readings of the thermometers, until a tick takes them.
         temperatures: Option<RawTemperatures>,
     }
 
@@ -121,8 +122,8 @@ mod app {
         idle: Idle,
     }
 
-    /// Puts the node in its place. Apart from the start, because a node and its calibration are moved by value here: their
-    /// stack is free again before the rest of the start needs its own.
+    /// Puts the node in its place. Apart from the start, because a node and its calibration are moved by value here:
+    /// their stack is free again before the rest of the start needs its own.
     #[inline(never)]
     fn placed(
         place: &'static mut MaybeUninit<Node<'static>>,
@@ -403,7 +404,7 @@ mod app {
         rtic::pend(TRANSMIT);
     }
 
-    /// What a CANopen node has to say besides the offsets. Nothing of it is in the tick.
+    /// Sends what a CANopen node has to say in addition to the offsets. Nothing of it is in the tick.
     #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
     fn service(cx: service::Context) {
         let _turn = alive::enter(Task::Service);

@@ -1,4 +1,4 @@
-//! What the supervisor decides every 10 ms, and what it says once a second.
+//! Decisions of the supervisor every 10 ms, and its report once a second.
 
 use trueup_canopen::emergency::Fault;
 use trueup_core::{cnc::Quality, supply::Level};
@@ -20,7 +20,7 @@ use crate::{
 pub const PERIOD_MS: u32 = 10;
 const LOG_PERIOD_MS: u32 = 1_000;
 
-/// What the supervisor remembers.
+/// State of the supervisor.
 pub struct Supervision {
     watchdog: Watchdog,
     brown_out: BrownOut,
@@ -28,7 +28,7 @@ pub struct Supervision {
     references: References<Flash>,
     /// Where a loaded calibration is kept.
     store: Option<Store>,
-    /// What outlasts a reset.
+    /// State that outlasts a reset.
     retained: &'static mut retained::Copies,
     /// And a power cut.
     backup: Backup,

@@ -1,4 +1,4 @@
-//! What goes wrong at the user's: broken files, a port in use, no emulator, an emulator that dies,
+//! Failures at the user's: broken files, a port in use, no emulator, an emulator that dies,
 //! a command that is ended in every way there is.
 //!
 //! Each time the command has to say what is wrong and where, to write over nothing, and to leave

@@ -174,7 +174,7 @@ fn can_utils_and_python_can_read_a_recording_and_diagnose_its_run_file() -> Resu
     diagnosed(&folder, &place.join("bridge.csv"), &machine)
 }
 
-/// The run file with a measurement next to it, as somebody with an indicator would have it: 1.25 times
+/// The run file with a measurement next to it, as a user with an indicator would have it: 1.25 times
 /// what the model says.
 fn diagnosed(folder: &TempDir, recorded: &Path, machine: &str) -> Result<()> {
     let run = RunFile::read(recorded)?;

@@ -54,7 +54,7 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
     }
 }
 
-/// What is found in this process is found on the board: the record that the diagnosis gets is the same to
+/// The findings of this process are those of the board: the record that the diagnosis gets is the same to
 /// the last digit, and the extended file comes over the line. A board that is loaded begins the other day
 /// with the directions and heat that it knows, this process without: within a count of the wire.
 #[test]

@@ -1,5 +1,5 @@
-//! What `diagnose` has extended, the board runs: a held-out run is played to the emulated board with
-//! the calibration of the machine file as it was believed, and with that of `extended.toml`. What the
+//! The board runs the model that `diagnose` has extended: a held-out run is played to the emulated board with
+//! the calibration of the machine file as it was believed, and with that of `extended.toml`. The part that the
 //! offsets leave of the measured error, before and after, is the gain in the offsets themselves; it is
 //! the gain that the diagnosis has predicted.
 //!

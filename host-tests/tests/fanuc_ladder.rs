@@ -1,5 +1,5 @@
-//! The ladder of `integrations/fanuc`, run by an interpreter of its mnemonics against a stub of the control's external data
-//! input. What is proved ends at those signals: LADDER-III has not compiled it, and no control has seen it.
+//! The ladder of `integrations/fanuc`, run by an interpreter of its mnemonics against a stub of the control's external
+//! data input. The proof ends at those signals: LADDER-III has not compiled it, and no control has seen it.
 
 use std::process::Command;
 

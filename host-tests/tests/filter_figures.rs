@@ -1,4 +1,4 @@
-//! What the filter promises, measured from the sensor's volts to nanometres: noise, run-out, step,
+//! The filter's promises, measured from the sensor's volts to nanometres: noise, run-out, step,
 //! arithmetic, and the inverter's carrier. Every figure that the documentation states is printed
 //! here (`cargo test -p trueup-host-tests --test filter_figures -- --show-output`).
 
@@ -150,7 +150,7 @@ fn reference(codes: &[f64], revolution: f64) -> Vec<Option<f64>> {
     out
 }
 
-/// What of the rest of run-out is the filter's and what the converter's: the same input without
+/// Separates the rest of run-out into the filter's and the converter's: the same input without
 /// rounding to codes, through the filter's definition.
 #[test]
 fn without_rounding_to_codes_run_out_leaves_a_nanometre() {

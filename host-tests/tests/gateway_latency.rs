@@ -97,7 +97,7 @@ impl Drop for Watch {
 const CLOCK_MS: u128 = 500_000;
 
 /// Returns a bridge whose Z says when: milliseconds of the day's clock, one count of the wire each. X is minus that, Y
-/// the same. Whoever has gone, or was thought dead on a computer that stood still, may come again.
+/// the same. A client that has gone, or was thought dead on a computer that stood still, may come again.
 fn clock_bridge(stop: Arc<AtomicBool>) -> Result<String> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let address = listener.local_addr()?.to_string();
@@ -194,7 +194,7 @@ fn between(language: Language, bridge: &str) -> Result<(Running, Watch)> {
     }
 }
 
-/// What was seen, for people, and how late it came.
+/// Report for people, and how late the values came.
 struct Seen {
     said: String,
     p99_ms: f64,

@@ -213,7 +213,7 @@ fn mb2hal_reads_the_block_with_the_sample_that_is_delivered() -> Result<()> {
     Ok(())
 }
 
-/// Returns whether the bridge is received, as the lines on standard output tell it, one value for each change.
+/// Returns whether the bridge is received, as the lines on standard output report it, one value for each change.
 fn heard(lines: &Path) -> Result<Vec<bool>> {
     let text = std::fs::read_to_string(lines)?;
     // The last one may only be half written.

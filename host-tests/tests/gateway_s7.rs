@@ -1,6 +1,6 @@
 //! `trueup gateway s7` between the real firmware and a PLC that this project did not write: python-snap7's server has
-//! the data block, awlsim runs the PLC program of `integrations/siemens-840d` against a stub of the NCK. What is
-//! proved ends at the parameters of the call that writes the setting data.
+//! the data block, awlsim runs the PLC program of `integrations/siemens-840d` against a stub of the NCK. The
+//! proof ends at the parameters of the call that writes the setting data.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod support;
@@ -151,7 +151,7 @@ fn is_taken_back(cycle: &Value) -> bool {
     cycle["state"] == 5 && cycle["fault"] == true
 }
 
-/// Held as it was for two seconds, then taken back, and told.
+/// Held as it was for two seconds, then taken back, and reported.
 fn held_then_taken_back(plc: &Plc) -> Result<()> {
     plc.until("it is held", is_held)?;
     let held = plc.until("it is taken back and told", is_taken_back)?;

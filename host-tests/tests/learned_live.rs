@@ -1,4 +1,4 @@
-//! What `trueup learn` has learned, brought to the emulated board while it is engaged: from the two machine files
+//! The result of `trueup learn`, brought to the emulated board while it is engaged: from the two machine files
 //! to the offset, and no farther than the calibration permits.
 
 mod support;

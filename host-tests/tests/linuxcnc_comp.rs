@@ -1,5 +1,5 @@
 //! The exported compensation in the real LinuxCNC: Debian's `linuxcnc-uspace`, without a screen and
-//! not as root, with three simulated joints. What it adds to a joint's command, read from its HAL
+//! not as root, with three simulated joints. Its addition to a joint's command, read from its HAL
 //! pins over the travel and in both directions, is the opposite of the model's error, within the
 //! difference that the export states.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]

@@ -163,7 +163,7 @@ impl Plc {
     }
 }
 
-/// What is counted.
+/// Counts of a run.
 #[derive(Debug, Default)]
 struct Told {
     cuts: [u32; 4],
@@ -182,7 +182,7 @@ struct World<'b> {
     now: u64,
     cut: Cut,
     since: u64,
-    /// What the board said in the last moments, in nm.
+    /// Offsets from the board in the last moments, in nm.
     said: VecDeque<Option<[i32; 3]>>,
     told: Told,
 }
@@ -334,7 +334,7 @@ impl World<'_> {
     }
 }
 
-/// Whoever opens a line begins with this; no frame is in it.
+/// Opens the line as every client does; no frame is in it.
 fn open(port: &mut Port) {
     for byte in OPEN {
         port.receive(*byte);

@@ -2,9 +2,9 @@
 //! a frame of the CNC or of a CANopen master, or with a block of a PLC.
 //!
 //! Shown on the images that are flashed and booted, after the linker: no chain of calls leads from
-//! `Node::tick`, `Node::hear`, `Node::service`, `Node::said` or `Node::hear_block` to a function of the panic machinery, to a trap, or
-//! to a call through a pointer, behind which anything could stand. So no input whatever (nor a
-//! calibration that was loaded) makes them stop there. What this does not show: that the values are
+//! `Node::tick`, `Node::hear`, `Node::service`, `Node::said` or `Node::hear_block` to a function of the panic
+//! machinery, to a trap, or to a call through a pointer, behind which anything could stand. So no input whatever (nor a
+//! calibration that was loaded) makes them stop there. This does not show that the values are
 //! right, that loops end, that the stack suffices; the first two are for the property tests of the
 //! core.
 

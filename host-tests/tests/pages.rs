@@ -211,7 +211,7 @@ fn an_acceptance_is_signed_on_one_sheet() {
     assert!(sheets(&browser, folder.path(), &demonstration()) > 1);
 }
 
-/// Returns the page of the loop with LinuxCNC, of figures that nobody has measured.
+/// Returns the page of the loop with LinuxCNC, of figures that were not measured.
 fn loop_with_linuxcnc() -> String {
     let curve = |size_um: f64| {
         let at: Vec<f64> = (0..500).map(f64::from).collect();

@@ -10,7 +10,7 @@ use trueup_emulator::{
 
 /// Bytes of the stack (`src/board/stm32f405/mpu.rs`).
 const STACK: u64 = 80 * 1024;
-/// What the core puts there for an interrupt: 26 words with those of the FPU, and one that aligns it (Armv7-M
+/// Bytes that the core puts there for an interrupt: 26 words with those of the FPU, and one that aligns it (Armv7-M
 /// architecture manual, B1.5.7).
 const EXCEPTION: u64 = 4 * 27;
 /// The tasks, by their interrupts (`src/main.rs`), from the lowest priority on: at most one of each runs.
@@ -21,7 +21,7 @@ const PRIORITIES: [&[&str]; 5] = [
     &["DMA2_STREAM0"],
     &["USART1", "DMA2_STREAM2", "USART3"],
 ];
-/// Counted apart. Formatting calls through pointers, and a text within a text formats again. Whoever panics ends:
+/// Counted apart. Formatting calls through pointers, and a text within a text formats again. A panic is an end:
 /// the handler's own panic, which its bounds would allow it, is counted as one more.
 const APART: [&str; 2] = ["core3fmt5write", "rust_begin_unwind"];
 /// How deep texts stand within texts: an error, what it is made of, its number.

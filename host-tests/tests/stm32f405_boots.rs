@@ -1,6 +1,6 @@
 //! The flashable image boots where nearly everything is dead: in QEMU the crystal, the PLL, the
-//! converters and the CAN controller never answer, and the flash cannot be written. It has to come up all the same, name each dead
-//! part in its log, and tell the CNC over the serial line that no offset is available.
+//! converters and the CAN controller never answer, and the flash cannot be written. It has to come up all the same,
+//! name each dead part in its log, and report to the CNC over the serial line that no offset is available.
 
 use std::{
     io::{ErrorKind, Read as _, Write as _},

@@ -23,8 +23,8 @@
 //! `DMA2_STREAM0` with a block of samples (one millisecond of the sample clock), `CAN1_RX0` and
 //! `CAN1_RX1` with frames from the bus (on `virtual` all by the first), `USART1` with bytes from the
 //! serial line, `DMA2_STREAM7` when there is room for more (`DMA2_STREAM2`: as `USART1`), `USART3` with bytes from
-//! the PLC and room for more, `TIM5` when it has been silent, `SysTick` every 10 ms. On `virtual` it is the samples that make time pass, so
-//! `SysTick` comes with every tenth block.
+//! the PLC and room for more, `TIM5` when it has been silent, `SysTick` every 10 ms. On `virtual` it is the samples
+//! that make time pass, so `SysTick` comes with every tenth block.
 
 use trueup_canopen::emergency::Fault;
 use trueup_core::{
@@ -72,7 +72,7 @@ pub struct Block {
     pub codes: [Code; BLOCK],
     /// The spindle speed, where the board itself knows it; a fresh one from the CNC wins.
     pub speed: Option<Rpm>,
-    /// What the temperature channels say, where that comes with the samples and not from
+    /// Readings of the temperature channels, where they come with the samples and not from
     /// [`Thermometers`]. A channel that nothing is wired to is [`Raw::NONE`].
     pub temperatures: Option<[Raw; TEMPERATURES]>,
 }
@@ -88,18 +88,18 @@ pub struct CanState {
     pub off: bool,
 }
 
-/// What has become of the bytes that wait for the serial line.
+/// State of the bytes that wait for the serial line.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Sent {
     /// None waits.
     All,
     /// A piece is going out, or is held up; an interrupt comes at its end.
     Busy,
-    /// More waits, and nobody else will ask for it.
+    /// More waits, and no interrupt asks for it.
     More,
 }
 
-/// What a board found out about itself at start-up.
+/// Faults that a board found at start-up.
 #[derive(Clone, Copy, Default, defmt::Format)]
 pub struct Faults {
     /// The crystal did not start: the CPU runs from the internal oscillator, CAN stays silent.
@@ -158,7 +158,7 @@ pub struct Parts {
     pub can_in: [CanIn; 2],
     pub can_out: CanOut,
     pub watchdog: Watchdog,
-    /// What is still to be done about the supply's lowest level.
+    /// Pending change of the supply's lowest level.
     pub brown_out: BrownOut,
     pub lamp: Lamp,
     pub idle: Idle,
@@ -179,11 +179,11 @@ pub struct Parts {
     pub blob: &'static [u8],
     /// The calibration that was loaded last is damaged, and this is an older one.
     pub is_older: bool,
-    /// The calibration is the example's: somebody else's spindle.
+    /// The calibration is the example's: another machine's spindle.
     pub is_example: bool,
-    /// What outlasts a reset, unless the power was gone.
+    /// State that outlasts a reset, unless the power was gone.
     pub retained: &'static mut retained::Copies,
-    /// What outlasts a power cut as well.
+    /// Memory that outlasts a power cut as well.
     pub backup: Backup,
     /// Where a new calibration is gathered and stored; `None` on a board that cannot store one.
     pub loading: Option<(&'static mut [u8], Store)>,

@@ -1,4 +1,4 @@
-//! The stored references and writes: opened at the start, added to by `Zero`, `Confirm` and by whoever writes, and
+//! The stored references and writes: opened at the start, added to by `Zero`, `Confirm` and every write, and
 //! every step of it in the log.
 //!
 //! A store that fails costs the reference of the next start, never an offset of this one.
@@ -42,10 +42,10 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     (references, Kept { standing, taken, named })
 }
 
-/// What the store holds for the start.
+/// Content of the store at the start.
 #[derive(Clone, Copy, Default)]
 pub struct Kept {
-    /// What holds for the calibration, and the level of the supply that its reference counts from.
+    /// Standing of the calibration's reference, and the level of the supply that it counts from.
     pub standing: Option<(Standing, Level)>,
     /// The write that has taken the reference.
     pub taken: Option<Write>,

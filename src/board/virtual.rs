@@ -5,8 +5,8 @@
 //! power), the pipe `samples` (blocks of one millisecond, CAN frames among them) and the
 //! pipe `frames` (what the board sends on its CAN). They are read and written by semihosting, which
 //! is fast but stops the whole emulator while it waits; so the board never reads before the host has
-//! rung: a byte on USART2 says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is free.
-//! Of the announced blocks as many as fit the buffer come with one call, because the call costs far
+//! rung: a byte on USART2 says how many blocks are in the pipe. Between them the CPU sleeps and the serial line is
+//! free. Of the announced blocks as many as fit the buffer come with one call, because the call costs far
 //! more than the bytes; they are then lived through one by one.
 //!
 //! Time is what the samples say. Nothing here depends on how fast the host is, so the same blocks
@@ -376,7 +376,7 @@ pub fn restart() {
 /// Announced blocks as they come from the pipe.
 type Buffer = [u8; BLOCKS_AT_ONCE * pipe::BLOCK_SIZE];
 
-/// What the CPU does when no task has work: it makes time pass.
+/// Work of the CPU when no task has any: it makes time pass.
 pub struct Idle {
     samples: File,
     frames: File,

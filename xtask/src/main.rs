@@ -1,4 +1,4 @@
-//! The project's own commands. What they do is in `trueup-emulator`; here is only what is said.
+//! The project's own commands. Their work is in `trueup-emulator`; here is only what is said.
 
 use std::{
     fs,
@@ -69,7 +69,7 @@ enum Command {
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
     #[command(name = "linuxcnc")]
     LinuxCnc {
-        /// What the bridge's firmware runs on.
+        /// Where the bridge's firmware runs.
         #[arg(long, value_enum, default_value_t)]
         on: linuxcnc::On,
     },
@@ -124,7 +124,8 @@ enum Command {
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
-    /// Counts circles of files, long files and functions, dependencies on higher layers, and the words of documents; fails above the limits.
+    /// Counts circles of files, long files and functions, dependencies on higher layers, and the words of documents;
+    /// fails above the limits.
     Structure,
     /// Makes the Debian package of the host tool, in target/debian.
     Deb {
@@ -152,7 +153,7 @@ enum Command {
 
 #[derive(Args)]
 struct Verify {
-    /// What the quick tier leaves out: long tests, LinuxCNC, the distribution's compiler.
+    /// The long tier: long tests, LinuxCNC, the distribution's compiler.
     #[arg(long)]
     long: bool,
     /// Every test: both tiers.

@@ -4,7 +4,7 @@
 //! printed from the same table by [`eds`]; a test holds the two against each other. The objects
 //! below 0x2000 are those of CiA 301. The analogue inputs (from 0x6131 on) are shaped after
 //! CiA 404: eight temperatures, then the elongation. 0x9130 holds their process values as 32-bit
-//! integers of [`DIGITS`] decimals. What has no standard place is manufacturer-specific, 0x2000 on.
+//! integers of [`DIGITS`] decimals. Objects without a standard place are manufacturer-specific, from 0x2000 on.
 //!
 //! The offsets themselves and the frames of the CNC are not mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
@@ -22,13 +22,13 @@ pub use table::OBJECTS;
 pub const DIGITS: u8 = 3;
 /// A process value or an offset that is not available.
 pub const NOT_AVAILABLE: i32 = i32::MIN;
-/// What has to be written to drop the reference: the bytes `zero`, low byte first, so that no stray
-/// write does it.
+/// Number that drops the reference when it is written: the bytes `zero`, low byte first, so that no stray write does
+/// it.
 pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
-/// What has to be written there to offer the operator the reference that was written to the sub-indices before it,
-/// of a board that this one takes the place of: the bytes `back`.
+/// Number that, written to the same object, offers the operator the reference that was written to the sub-indices
+/// before it, of a board that this one takes the place of: the bytes `back`.
 pub const BACK: u32 = u32::from_le_bytes(*b"back");
-/// What has to be written to 0x2100:05 to drop the calibration that was loaded for the next start: the bytes `drop`.
+/// Number that, written to 0x2100:05, drops the calibration that was loaded for the next start: the bytes `drop`.
 pub const DROP: u32 = u32::from_le_bytes(*b"drop");
 /// Sub-index of the elongation among the analogue inputs.
 pub const ELONGATION_INPUT: u8 = 9;
@@ -75,7 +75,7 @@ impl Type {
     }
 }
 
-/// What a master may do with a value.
+/// Access of a master to a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Access {
     /// Read; it never changes.
@@ -88,7 +88,7 @@ pub enum Access {
     Write,
 }
 
-/// What stands behind an entry.
+/// Content of an entry: a constant, or one of the node's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKind {
     /// A constant number.
@@ -119,7 +119,7 @@ pub enum ObjectKind {
     Age,
     /// The faults 0…15 of now, one bit each.
     Faults,
-    /// What a CNC must know next to the offsets, one bit each, as in `Status`.
+    /// Conditions that a CNC must know in addition to the offsets, one bit each, as in `Status`.
     StateBits,
     /// Why the board last started, as in `Status`.
     ResetReason,
@@ -180,7 +180,7 @@ pub enum ObjectKind {
     DropNew,
     /// The last writes to the board.
     WriteLog,
-    /// Seconds since 1970 (UTC); 0: nobody has told the time.
+    /// Seconds since 1970 (UTC); 0: the time was never set.
     Utc,
     /// Name of the machine that the running calibration is for.
     MachineName,
@@ -199,7 +199,7 @@ pub enum ObjectKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Authority {
-    /// Nobody sends `Control`: a tool may, with `Service`.
+    /// No master sends `Control`: a tool may, with `Service`.
     NoMaster = 0,
     /// The one who sends `Control` has not set `Service`, or has engaged.
     NoService = 1,
@@ -226,7 +226,7 @@ pub const TASKS: [&str; 13] = [
     "modbus",
 ];
 
-/// What is known of the place where the last start stopped.
+/// Details of the place where the last start stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stop {
     /// Program counter of a fault; 0: it was none.
@@ -269,11 +269,11 @@ pub struct Entry {
     pub name: &'static str,
     /// The type of the value on the wire.
     pub kind: Type,
-    /// What a master may do.
+    /// Access of a master.
     pub access: Access,
-    /// What stands behind it.
+    /// The value behind it.
     pub what: ObjectKind,
-    /// What a writable value is at the start.
+    /// Value of a writable entry at the start.
     pub default: Option<u32>,
 }
 

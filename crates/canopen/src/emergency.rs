@@ -1,4 +1,4 @@
-//! Emergencies (CiA 301): every fault of the bridge is told once when it comes and once when it has
+//! Emergencies (CiA 301): every fault of the bridge is reported once when it comes and once when it has
 //! gone.
 //!
 //! | bytes | content |
@@ -29,8 +29,8 @@ pub use crate::fault::{Fault, Faults};
 /// Emergencies that are remembered.
 pub const HISTORY: usize = 8;
 
-/// Returns the faults that an output reports by its flags. `SensorFault` and `CncLost` stand for several sources; each of
-/// these has its own fault.
+/// Returns the faults that an output reports by its flags. `SensorFault` and `CncLost` stand for several sources; each
+/// of these has its own fault.
 #[must_use]
 pub fn faults_of(output: &Output) -> Faults {
     Faults::default()
@@ -40,7 +40,7 @@ pub fn faults_of(output: &Output) -> Faults {
         .with_if(output.flags.contains(Flags::CLAMPED), Fault::Clamped)
 }
 
-/// What an emergency says.
+/// Content of an emergency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Emergency {
     /// The error code; 0: the fault has gone.
@@ -89,12 +89,12 @@ pub fn decode(frame: &Frame) -> Result<Emergency, DecodeError> {
     })
 }
 
-/// What is reported of the faults, and what was.
+/// Faults that are reported, those that were seen, and the history.
 #[derive(Clone, Debug)]
 pub struct Emergencies {
-    /// Told as there.
+    /// Reported as present.
     told: Faults,
-    /// There at some time since they were last told as gone.
+    /// Present at some time since they were last reported as gone.
     seen: Faults,
     history: heapless::Deque<u32, HISTORY>,
     /// In 0.1 ms.

@@ -18,7 +18,7 @@ mod register {
 /// Declares the faults: name, error code, word, error register, and state bit where the CNC has one.
 macro_rules! faults {
     ($($(#[$doc:meta])* $name:ident $code:literal $word:literal $register:ident $($state:ident)?;)*) => {
-        /// What can be wrong.
+        /// A fault of the bridge.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[repr(u8)]
         pub enum Fault {

@@ -1,7 +1,7 @@
 //! The heartbeat that a master expects the bridge to receive (object 0x1016).
 //!
-//! It only tells of a loss, by an emergency: what the offsets rest on is `Control`, which is
-//! protected, and not a byte that is not.
+//! It only reports a loss, by an emergency: the offsets rest on `Control`, which is
+//! protected, and not on a byte that is not.
 
 use trueup_link::{frame::Frame, layout::HEARTBEAT_ID};
 

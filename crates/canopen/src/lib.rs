@@ -9,7 +9,7 @@
 //! ```
 //!
 //! `dictionary` is what a master can read and write, `sdo` how, `network` what it can command,
-//! `emergency` how the bridge reports its faults, `fault` which there are, `heartbeat` whose silence it tells of.
+//! `emergency` how the bridge reports its faults, `fault` which there are, `heartbeat` whose silence it reports.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]
 #![forbid(unsafe_code)]

@@ -1,15 +1,15 @@
-//! What a CANopen master may command by network management (NMT, CiA 301), and what it may not.
+//! Network management (NMT, CiA 301): the commands of a CANopen master, and which of them have an effect.
 //!
 //! | command | here |
 //! |---|---|
 //! | 0x01 start, 0x02 stop, 0x80 pre-operational | no effect |
 //! | 0x81 reset node | the board restarts, if no offset is followed; else no effect |
-//! | 0x82 reset communication | heartbeats, inhibit time and the SDO server as at the start, boot-up message; the offsets go on |
+//! | 0x82 reset communication | heartbeats, inhibit time, SDO server as at the start, boot-up; the offsets go on |
 //!
 //! A machine relies on the offsets while it cuts, and an NMT command is two bytes that nothing
 //! protects, often sent to all nodes of a bus by a tool that knows none of them. So none of them
 //! stops, starts or jumps an offset: that is for `Control` alone, which is protected, counted and
-//! ramped. The heartbeat says what the bridge does and not what it was told: operational while it
+//! ramped. The heartbeat says what the bridge does, not what it was commanded: operational while it
 //! sends offsets that can be used, stopped while they are not available.
 
 use trueup_link::{frame::Frame, layout::NMT_ID};
@@ -26,7 +26,7 @@ const RESET_COMMUNICATION: u8 = 0x82;
 pub enum Command {
     /// The board is to restart.
     ResetNode,
-    /// What the node says is to restart.
+    /// The node's communication is to restart.
     ResetCommunication,
 }
 

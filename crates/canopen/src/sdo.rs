@@ -7,7 +7,7 @@
 //! | block | refused with [`Abort::Command`]; masters fall back to segments |
 //!
 //! One transfer at a time: a new one takes the place of an old one, as CiA 301 has it. A master that
-//! is silent for [`TIMEOUT_MS`] in the middle of one is told so. The server holds no bytes of a
+//! is silent for [`TIMEOUT_MS`] in the middle of one is sent an abort. The server holds no bytes of a
 //! domain: it hands them on as they come, so its own memory is a few words, and no frame costs more
 //! than a few hundred instructions. Whatever bytes come, there is one answer or none.
 
@@ -36,7 +36,7 @@ pub enum ObjectValue<'v> {
     Bytes(&'v [u8]),
 }
 
-/// What stands behind the dictionary.
+/// The values behind the dictionary.
 pub trait Objects {
     /// Reads a value.
     ///
@@ -69,7 +69,7 @@ pub trait Objects {
     fn close(&mut self) -> Result<(), Abort>;
 }
 
-/// What a transfer is of.
+/// Object of a transfer: index and sub-index.
 type At = (u16, u8);
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -96,7 +96,7 @@ enum Phase {
     },
 }
 
-/// What has come of a segmented download.
+/// Received part of a segmented download.
 #[derive(Clone, Copy, Debug, Default)]
 struct Incoming {
     announced: Option<u32>,

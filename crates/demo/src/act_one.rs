@@ -1,5 +1,5 @@
-//! Act one: a measured run. What the machine file gets wrong, the file extended by it, and what that
-//! brings, in offsets that a CNC reads from the board, on readings that the extension has not seen.
+//! Act one: a measured run. The errors of the machine file, the file extended by them, and the gain of that,
+//! in offsets that a CNC reads from the board, on readings that the extension has not seen.
 //!
 //! A part of the readings is taken out, the rest is diagnosed, the extended file compiled and played, and
 //! the board's offsets are held against what was taken out; so for each part in turn.
@@ -32,14 +32,14 @@ const PARTS: usize = 6;
 /// A longer run is played faster, its time constants shortened: in s of the board.
 const LONGEST_S: f64 = 60.0;
 
-/// What is asked.
+/// Input of act one.
 #[derive(Clone, Debug)]
 pub struct Asked<'a> {
     /// The machine file, and where it came from.
     pub source: &'a str,
     /// For errors.
     pub path: &'a Path,
-    /// What was measured.
+    /// The measured run.
     pub run: &'a RunFile,
     /// Which quantity, where the run has several.
     pub quantity: Option<Quantity>,
@@ -48,13 +48,13 @@ pub struct Asked<'a> {
 /// One reading.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// What the machine file says, in µm.
+    /// Prediction of the machine file, in µm.
     pub sensor_um: f64,
-    /// What the board sent with it, in µm.
+    /// Value that the board sent with it, in µm.
     pub bridge_um: f64,
-    /// What was measured, in µm.
+    /// Measured value, in µm.
     pub dial_um: f64,
-    /// What a board sent whose machine file was extended from the other readings, in µm.
+    /// Value sent by a board whose machine file was extended from the other readings, in µm.
     pub calibrated_um: f64,
 }
 
@@ -67,9 +67,9 @@ pub struct Left {
     pub max_um: f64,
 }
 
-/// What came of it.
+/// Result of act one.
 pub struct ActOne {
-    /// What `diagnose` says of all readings.
+    /// Diagnosis of all readings.
     pub diagnosis: Diagnosis,
     /// The machine file with what was found.
     pub extended: String,
@@ -87,7 +87,7 @@ pub struct ActOne {
     pub line: Option<[f64; 2]>,
     /// The counts that the machine file takes for full scale over those of an S7.
     pub s7_full_scale_ratio: Option<f64>,
-    /// What was done to play it, a sentence each.
+    /// Notes on how it was played, a sentence each.
     pub notes: Vec<String>,
     /// Frames with offsets that were received, and those that were damaged or lost.
     pub frames: [u32; 2],

@@ -40,20 +40,20 @@ pub struct FaultSaid {
     pub ratio: f64,
 }
 
-/// What came of it, in the form of `summary.json`.
+/// Result of act two, in the form of `summary.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outcome {
     /// The seed that repeats it.
     pub seed: u64,
     /// The kind of machine.
     pub machine: &'static str,
-    /// What was hidden.
+    /// The hidden faults.
     pub faults: Vec<FaultSaid>,
     /// By how much the nearest rival law is worse, as a difference of BIC.
     pub gap: f64,
-    /// What was found, as in `diagnosis.json`.
+    /// The findings, as in `diagnosis.json`.
     pub findings: Vec<Finding>,
-    /// What came out.
+    /// The verdict of the diagnosis.
     pub verdict: &'static str,
     /// Each fault is named by a finding, claimed or not, and nothing false is claimed.
     pub all_right: bool,
@@ -78,11 +78,11 @@ pub struct Outcome {
 
 /// Act two, with what its pictures need.
 pub struct ActTwo {
-    /// What came of it.
+    /// The result, as in `summary.json`.
     pub outcome: Outcome,
-    /// What the diagnosis says.
+    /// The diagnosis.
     pub diagnosis: Diagnosis,
-    /// What was done, a sentence each.
+    /// Notes on how it was played, a sentence each.
     pub notes: Vec<String>,
     /// Of the first day: time in s, what the faults really do, what was found; in µm.
     pub envelope: Vec<[f64; 3]>,
@@ -193,8 +193,8 @@ pub fn act_two(boards: &Boards, hidden: &Hidden, progress: &mut Progress<'_>) ->
     })
 }
 
-/// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so fast
-/// that a board would doubt its thermometers.
+/// Returns the factor by which the days are played faster: a shift is short enough, and no change of a temperature so
+/// fast that a board would doubt its thermometers.
 fn factor_of_time(first: &RunFile, second: &RunFile) -> Result<f64> {
     let times = first.require("time_s")?;
     let span_s = times[times.len() - 1] - times[0];

@@ -17,7 +17,7 @@ const PROMISE: f64 = 0.05;
 /// Figures over seeds.
 #[derive(Clone, Debug, Default)]
 pub struct Campaign {
-    /// What came of each seed.
+    /// Result of each seed.
     pub outcomes: Vec<Outcome>,
 }
 

@@ -28,7 +28,7 @@ const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
 /// A fault that must be larger than this to be seen is none of this machine: as in
 /// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
 const LARGEST_SIZE: f64 = 8.0;
-/// From each rival law it must be told by a difference of BIC of this much: Kass and Raftery (1995) call it
+/// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
 /// strong; the rule of a diagnosis as well.
 pub const LEAST_GAP: f64 = 6.0;
 /// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also

@@ -14,7 +14,7 @@
 //! | [`table`] | runs as text: some readings taken out, what a bridge says added |
 //! | [`act_one`] | a measured run: what is wrong, extended, and what is gained on left-out rows |
 //! | [`mod@line`] | a calibration over the board's serial line |
-//! | [`hidden`], [`rivals`] | a machine with faults that can be told, by seed |
+//! | [`hidden`], [`rivals`] | a machine with faults that can be distinguished, by seed |
 //! | [`act_two`], [`campaign`] | a machine with hidden faults, found and mended; many of them |
 //! | [`say`], [`page`], [`summary`] | what is said on the screen, shown on the page, written for scripts |
 #![forbid(unsafe_code)]

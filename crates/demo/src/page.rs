@@ -149,7 +149,7 @@ fn of_act_one(page: &mut Page, one: &ActOne) {
     page.table(&table);
 }
 
-/// What is wrong and what to do, in a card of its colour.
+/// Adds the verdict and what to do, in a card of its colour.
 pub(crate) fn verdict(page: &mut Page, diagnosis: &Diagnosis) {
     let report = &diagnosis.report;
     let state = match report.verdict {

@@ -78,10 +78,10 @@ impl Pace {
     }
 }
 
-/// What a CNC has read.
+/// A CNC's record of a run.
 #[derive(Clone, Debug, Default)]
 pub struct Played {
-    /// What it adds on X, Y and Z at the end of each row, in µm; missing where the row was not played
+    /// Offsets on X, Y and Z at the end of each row, in µm; missing where the row was not played
     /// or no offset was available.
     pub offset_um: Vec<Option<[f64; 3]>>,
     /// How good that was, 0…6.
@@ -285,7 +285,7 @@ fn changes_c(run: &RunFile) -> Vec<f64> {
 /// # Errors
 /// There is no time.
 pub fn most_faster(run: &RunFile) -> Result<f64> {
-    /// What a board takes at once, in K.
+    /// Change that a board takes at once, in K.
     const AT_ONCE_C: f64 = 0.5;
     let times = run.require("time_s")?;
     let changes = changes_c(run);

@@ -9,7 +9,7 @@
 //!
 //! A right answer has a law of its own for every fault and none that belongs to no fault. Its rivals are the
 //! sets of up to three laws (as many as faults are hidden at most) that stand in its place: one law in the
-//! place of another, a pair in the place of a pair, one in the place of two. What is more than right counts as
+//! place of another, a pair in the place of a pair, one in the place of two. A surplus counts as
 //! well: a law of no fault next to it, which makes up for what the physics does and the laws do not say.
 //!
 //! The laws are those of physics over the columns of the record; which belongs to which fault follows
@@ -20,7 +20,7 @@ use trueup_numerics::least_squares::normal::dot;
 use trueup_twin::physical::Fault;
 
 /// Time constants that a law may have: from the interval of rows to some hours, in s, half as long again
-/// each. What one does that lies between two of them, both do.
+/// each. Two neighbours together cover the effect of one that lies between them.
 const LAGS_S: [f64; 13] = [
     0.0, 120.0, 180.0, 270.0, 400.0, 600.0, 900.0, 1_350.0, 2_000.0, 3_000.0, 4_500.0, 6_800.0,
     10_000.0,
@@ -34,7 +34,7 @@ pub struct Record<'r> {
     pub run: &'r RunFile,
     /// Rows in which the gauge was read.
     pub is_read: &'r [bool],
-    /// What the user's file predicts, in µm.
+    /// Prediction of the user's file, in µm.
     pub predicted_um: Vec<f64>,
     /// Whether an axis was measured.
     pub is_axis: bool,

@@ -1,4 +1,4 @@
-//! What is said on the screen: every sentence comes from the findings.
+//! Text on the screen: every sentence comes from the findings.
 
 use std::fmt::Write as _;
 

@@ -19,13 +19,13 @@ pub struct Summary<'a> {
     pub e2e_errors: u32,
     /// One for each reading.
     pub rows: &'a [Row],
-    /// What the machine file as it is leaves.
+    /// Residual of the current machine file.
     pub paper: Left,
-    /// What the extended one leaves of readings that it has not seen.
+    /// Figures of the extended one, on readings that it has not seen.
     pub calibrated: Calibrated,
     /// Counts of full scale in the machine file over those of an S7 input; null without a sensor.
     pub s7_full_scale_ratio: Option<f64>,
-    /// What came out of act one.
+    /// Verdict of act one.
     pub verdict: &'static str,
     /// As in `diagnosis.json`.
     pub findings: &'a [Finding],
@@ -38,7 +38,7 @@ pub struct Summary<'a> {
     pub wall_s: f64,
 }
 
-/// What the extension brings.
+/// Figures of the extended machine file.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Calibrated {
     /// Measured over sent: µm for 1 µm; null where there is no line.

@@ -31,8 +31,8 @@ pub fn with_columns(run: &RunFile, more: &[(String, Vec<f64>)]) -> Result<RunFil
     Ok(RunFile::from_reader(text.as_bytes(), run.path())?)
 }
 
-/// `run` without what was measured in the rows for which `is_hidden` holds: the machine has lived through
-/// them, and nobody knows what came of it.
+/// Returns `run` without what was measured in the rows for which `is_hidden` holds: the machine has lived through
+/// them, unmeasured.
 ///
 /// # Errors
 /// The column is not there.

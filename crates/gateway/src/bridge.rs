@@ -18,7 +18,7 @@ use trueup_client::{
 
 use crate::hub::Hub;
 
-/// From one look at the line to the next: two cycles of the bridge. What comes between them is taken
+/// From one look at the line to the next: two cycles of the bridge. Events between them are taken
 /// together, which is what keeps the gateway cheap.
 const TURN: Duration = Duration::from_millis(2);
 

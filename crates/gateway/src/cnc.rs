@@ -34,7 +34,7 @@ impl Course {
     }
 }
 
-/// What is sent to the bridge.
+/// Transmitter of the frames to the bridge.
 #[derive(Debug, Default)]
 pub struct Speaker {
     control: Course,

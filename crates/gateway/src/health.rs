@@ -12,7 +12,7 @@ use crate::{
     hub::{MAY_BE_OLD, OTHER_CALIBRATION},
 };
 
-/// The PLC's end, as whoever serves it knows it.
+/// State of the PLC's end.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PlcEnd {
     /// It is connected, or at least one master is.
@@ -25,7 +25,7 @@ pub struct PlcEnd {
     pub longest_ms: f64,
 }
 
-/// How the PLC's end is, for whoever tells it.
+/// State of the PLC's end, shared between threads.
 #[derive(Clone, Debug, Default)]
 pub struct End(Arc<Mutex<PlcEnd>>);
 

@@ -9,10 +9,10 @@
 //! | the PLC | the bridge |
 //! |---|---|
 //! | a block in step | its frames |
-//! | the first block after a silence of [`MASTER_LASTS`], and what comes on its heels | nothing: it may have waited in a line that stalled |
+//! | the first block after [`MASTER_LASTS`] of silence, and those on its heels | nothing: it may be of a stalled line |
 //! | `Engage` while the bridge runs on another calibration than the pinned one | `Engage` and `Zero` 0 |
 //!
-//! A block is made whole and replaced whole, so whoever asks for it gets one moment's.
+//! A block is made whole and replaced whole, so a reader gets one moment's.
 
 use std::time::Duration;
 
@@ -64,7 +64,7 @@ const NO_SLOPES: &str = "warning: the bridge sends no slopes, so nothing is hand
 /// Who sends holding blocks: a connection.
 pub type Master = u64;
 
-/// What stands between the bridge and the PLC.
+/// Exchange of blocks between the bridge and the PLC.
 pub struct Hub {
     offsets: OffsetReceiver,
     malformed_lines: u32,
@@ -94,12 +94,12 @@ pub struct Hub {
     arrived: Option<(Master, Duration)>,
     /// How long it had not come before that.
     pace: Option<Duration>,
-    /// What comes before may be old.
+    /// Blocks before this time may be old.
     doubted_until: Duration,
     second_master: Option<Duration>,
 }
 
-/// What came of a holding block.
+/// Result of a holding block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Taken {
     /// It is used.
@@ -148,7 +148,7 @@ impl Hub {
         }
     }
 
-    /// Takes what came over the bridge's line. What must not be used is counted.
+    /// Takes an event of the bridge's line. Frames and lines that must not be used are counted.
     pub fn hear(&mut self, now: Duration, event: &Event) {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => {
@@ -195,7 +195,7 @@ impl Hub {
         self.stalls
     }
 
-    /// Returns what is to be told of the bridge's calibration since the last call.
+    /// Returns the messages about the bridge's calibration since the last call.
     pub fn news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }
@@ -328,7 +328,7 @@ impl Hub {
         (now.saturating_sub(at) <= MASTER_LASTS).then_some(control)
     }
 
-    /// Takes a holding block from a master. One that is refused is counted, and told in the input
+    /// Takes a holding block from a master. One that is refused is counted, and reported in the input
     /// block.
     ///
     /// # Errors

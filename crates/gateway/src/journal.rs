@@ -5,8 +5,8 @@
 //!             by member: how often, which values                     any 24 h: ≤ 250 kB + 734 kB
 //! ```
 //!
-//! Without changes a line comes each [`PERIOD`]. A line that flaps uses up the allowance; its changes are then counted and
-//! written with the next line, which comes as soon as it is allowed. Time is an argument.
+//! Without changes a line comes each [`PERIOD`]. A line that flaps uses up the allowance; its changes are then counted
+//! and written with the next line, which comes as soon as it is allowed. Time is an argument.
 
 use std::{collections::BTreeMap, time::Duration};
 
@@ -20,7 +20,7 @@ pub const PERIOD: Duration = Duration::from_secs(300);
 pub const WATCHED: Duration = Duration::from_secs(1);
 /// The largest allowance, in bytes: two hundred changes at once.
 const BURST: f64 = 250_000.0;
-/// What is added to it: with the largest allowance 0.98 MB in 24 hours.
+/// Rate at which the allowance grows: with the largest allowance 0.98 MB in 24 hours.
 const BYTES_PER_S: f64 = 8.5;
 /// Different values of a member that are listed in one line; others are only counted.
 const VALUES: usize = 8;

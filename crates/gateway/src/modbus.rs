@@ -80,7 +80,7 @@ impl Bridge for Registers<'_> {
 /// Serves masters, in threads of their own, until the end.
 ///
 /// # Errors
-/// The listener cannot be told to wait for nobody.
+/// The listener cannot be made non-blocking.
 pub fn serve(shared: Shared, listener: TcpListener, unit: u8) -> io::Result<Masters> {
     listener.set_nonblocking(true)?;
     let masters = Masters::default();

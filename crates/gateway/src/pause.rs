@@ -9,7 +9,7 @@ use crate::bridge::Shared;
 
 /// Before the first try; each further one waits twice as long.
 const FIRST: Duration = Duration::from_millis(250);
-/// The longest: whoever has plugged the cable in again waits no longer.
+/// The longest: once the cable is plugged in again, nothing waits longer.
 const LAST: Duration = Duration::from_secs(4);
 /// How often is looked whether it is the end.
 const LOOK: Duration = Duration::from_millis(50);

@@ -1,7 +1,7 @@
 //! Modbus RTU on a serial port of this computer: for a PLC that has no network.
 //!
 //! A driver hands bytes on in heaps: the silences within a frame are not seen here, and where a frame
-//! ends is told by a silence that is longer than any of a driver's own.
+//! ends is recognised by a silence that is longer than any of a driver's own.
 
 use std::{
     io::{self, Write as _},

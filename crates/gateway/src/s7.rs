@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!  byte   0 … 55    input block, written by the gateway alone; in mode slope 0 … 63
-//!        64 … 103   holding block, written by the PLC's program alone; in a data block of before tool and conditions … 97
+//!        64 … 103   holding block, written by the PLC's program alone; without tool and conditions (older block) … 97
 //! ```
 
 pub mod client;
@@ -38,11 +38,11 @@ pub struct Target {
     pub db: u16,
     /// From one write to the next.
     pub period: Duration,
-    /// What is written.
+    /// Content of the block.
     pub mode: Mode,
 }
 
-/// What is written into the block.
+/// Content that is written into the block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// The offsets.
@@ -127,8 +127,8 @@ fn exchange(
     (None, has_written)
 }
 
-/// What was last read. Memory keeps what a program has written long after it has stopped: only what
-/// changes is said now.
+/// The block that was last read. Memory keeps a block long after the program that wrote it has stopped: only
+/// a change counts as said now.
 #[derive(Default)]
 struct Seen(Option<cnc::Registers>);
 

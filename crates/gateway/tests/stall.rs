@@ -1,5 +1,5 @@
 //! A gateway whose line to the bridge stalls without being cut: a proxy stands still in both directions, and then
-//! delivers all that has waited. What the bridge says and what the PLC says carry the time at which they were said.
+//! delivers all that has waited. All that the bridge and the PLC say carries the time at which it was said.
 #![allow(clippy::print_stdout, reason = "a test says what it measured")]
 
 use std::{
@@ -28,7 +28,7 @@ use trueup_modbus::{cnc::Cnc, input::Input};
 const MS: Duration = Duration::from_millis(1);
 /// The oldest that may be used, and the arithmetic of a busy computer.
 const OLDEST_MS: i64 = 350;
-/// What was on its way when the line began to stall cannot be called back: so long is said into it.
+/// Time after the start of a stall in which data still go into the line: they cannot be called back.
 const ON_ITS_WAY_MS: i64 = 250;
 
 fn ms(start: Instant) -> i32 {
@@ -122,7 +122,7 @@ fn proxy(to: u16, stands: Arc<AtomicBool>) -> u16 {
     port
 }
 
-/// What a PLC sees and says through a line that stalls for so long.
+/// Checks what a PLC sees and says through a line that stalls for this time.
 fn stalls_for(stall: Duration) {
     let (start, stop) = (Instant::now(), Arc::new(AtomicBool::new(false)));
     let (heard, stands) = (Arc::default(), Arc::new(AtomicBool::new(false)));

@@ -1,4 +1,4 @@
-//! What a CNC does with a line of the bridge: `cargo run -p trueup-link --example read_offsets`.
+//! Reads a line of the bridge as a CNC does: `cargo run -p trueup-link --example read_offsets`.
 #![allow(clippy::print_stdout, reason = "an example prints")]
 
 use trueup_core::{cnc::Output, units::Nanometres};

@@ -1,4 +1,4 @@
-//! AUTOSAR E2E profile 5: tells a receiver that a frame is whole, meant for it, new and in order.
+//! AUTOSAR E2E profile 5: shows a receiver that a frame is whole, meant for it, new and in order.
 //!
 //! ```text
 //! byte   0      1      2        3 … 7

@@ -33,14 +33,14 @@ use crate::{
     },
 };
 
-/// What `OffsetXY` says.
+/// Content of `OffsetXY`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OffsetXy {
     /// Offsets on X and Y; `None` if either is not available.
     pub offset: Option<[Nanometres; 2]>,
 }
 
-/// What `OffsetZ` says.
+/// Content of `OffsetZ`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct OffsetZ {
     /// Offset on Z; `None`: not available.

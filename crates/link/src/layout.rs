@@ -108,7 +108,7 @@ pub const QUALITY: Signal = Signal::unsigned(44, 4);
 pub const FLAGS: Signal = Signal::unsigned(48, 8);
 /// Age of the newest sample in milliseconds.
 pub const AGE: Signal = Signal::unsigned(56, 8);
-/// What a status frame is about: 0…13, see [`crate::status::Item`].
+/// Item of a status frame: 0…13, see [`crate::status::Item`].
 pub const ITEM: Signal = Signal::unsigned(24, 4);
 /// Why a frame of the CNC was last refused.
 pub const LAST_REFUSED: Signal = Signal::unsigned(28, 4);

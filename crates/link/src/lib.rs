@@ -10,8 +10,8 @@
 //!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
 //! ```
 //!
-//! `bits` places a signal in a frame, `status` is what the bridge tells of itself ten times a
-//! second. What a CANopen master has of the bridge stands in `trueup-canopen`, what the bridge
+//! `bits` places a signal in a frame, `status` is what the bridge reports of itself ten times a
+//! second. The CANopen side of the bridge stands in `trueup-canopen`, what the bridge
 //! stores in `trueup-store`, and the whole of it, as it stands on the bus, in `trueup-node`.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
 #![no_std]

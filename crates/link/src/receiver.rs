@@ -20,7 +20,7 @@ use crate::{
     stream::{Stream, StreamError},
 };
 
-/// What has arrived since the start, in frames. Each count stops at its largest value.
+/// Counts of frames since the start. Each stops at its largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Frames that were used.
@@ -186,7 +186,7 @@ enum Half {
 /// The CNC's ear for the board: puts `OffsetXY` and `OffsetZ` of the same counter together, so
 /// that the offsets of a cycle are applied on all axes or on none.
 ///
-/// It has no clock: whoever uses it must take back the offsets when no cycle has come for a while,
+/// It has no clock: its user must take back the offsets when no cycle has come for a while,
 /// and in less than 256 ms, after which a counter comes round again.
 #[derive(Clone, Copy, Debug)]
 pub struct OffsetReceiver {
@@ -337,7 +337,7 @@ impl Refused {
         matches!(self, Self::E2e(E2eError::Repeated { .. } | E2eError::WrongSequence { .. }))
     }
 
-    /// Returns the reason, as a status frame tells it: of a frame whose stream is not trusted, why that is.
+    /// Returns the reason, as in a status frame: of a frame whose stream is not trusted, why that is.
     #[must_use]
     pub const fn reason(&self) -> Reason {
         match self {

@@ -85,7 +85,7 @@ fn digit(nibble: u8) -> u8 {
     DIGITS.get(usize::from(nibble & 0xF)).copied().unwrap_or_default()
 }
 
-/// What follows the first character of a line, read from left to right.
+/// The rest of a line after its first character, read from left to right.
 #[derive(Clone, Copy, Debug)]
 struct Fields<'a> {
     line: &'a [u8],

@@ -43,12 +43,12 @@ pub const WITHOUT_SLOPES: u8 = 11;
 /// Axes that a slope is sent of.
 const AXES: u8 = 3;
 
-/// What a `Status` frame says.
+/// Content of a `Status` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// Why a frame of the CNC was last refused.
     pub last_refused: Reason,
-    /// What this frame is about.
+    /// The item that this frame carries.
     pub item: Item,
 }
 
@@ -84,7 +84,7 @@ impl Reason {
     }
 }
 
-/// What a `Status` frame is about.
+/// Item of a `Status` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
     /// Two temperature channels.
@@ -114,7 +114,7 @@ pub enum Item {
     Board {
         /// RMS noise of the raw codes in thousandths of a code.
         noise_thousandths: u16,
-        /// What is wrong, bit n is fault n of the DBC's `Fault`; those from 16 on are in
+        /// Faults, bit n is fault n of the DBC's `Fault`; those from 16 on are in
         /// [`Item::State`].
         faults: u16,
     },
@@ -147,7 +147,7 @@ pub struct StateBits(pub u32);
 impl StateBits {
     /// It has restarted, and `Engage` has not been received as 0, 0, 0 and then 1 since.
     pub const RESTARTED: Self = Self(1 << 0);
-    /// What heat the machine has kept from before the start is not known.
+    /// The heat that the machine has kept from before the start is not known.
     pub const HEAT_UNKNOWN: Self = Self(1 << 1);
     /// The newest calibration is damaged; an older one is loaded and waits for `Confirm`.
     pub const OLDER_CALIBRATION: Self = Self(1 << 2);
@@ -171,13 +171,13 @@ impl StateBits {
     pub const STORE_FAILING: Self = Self(1 << 11);
     /// A source of the elongation that is not in use is dead.
     pub const SOURCE_DEAD: Self = Self(1 << 12);
-    /// What is measured no longer fits the calibration.
+    /// The measurements no longer fit the calibration.
     pub const CALIBRATION_UNFIT: Self = Self(1 << 13);
     /// The board has found itself damaged: its image or its RAM. It gives no offset.
     pub const SELF_TEST: Self = Self(1 << 14);
     /// A position is where its axis cannot have come so fast, and is not believed.
     pub const POSITION_JUMP: Self = Self(1 << 15);
-    /// The sensor tells of something that no spindle does: a jump, or another run-out at the same speed.
+    /// The sensor shows something that no spindle does: a jump, or another run-out at the same speed.
     pub const SENSOR_ODD: Self = Self(1 << 16);
     /// An older reference of the calibration is offered, and waits for `Confirm` or `Zero`.
     pub const REFERENCE_OFFERED: Self = Self(1 << 17);

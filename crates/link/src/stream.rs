@@ -15,13 +15,13 @@
 //!
 //! | AUTOSAR | here | |
 //! |---|---|---|
-//! | WindowSizeInit, WindowSizeValid | [`WINDOW`] | frames, not times: a receiver has no clock, and silence is for whoever has one |
+//! | WindowSizeInit, WindowSizeValid | [`WINDOW`] | frames, not times: no clock here, silence is for the caller |
 //! | WindowSizeInvalid, MinOkStateInvalid | [`IN_A_ROW`] | with MaxErrorStateInvalid 0 |
 //! | MaxErrorStateInit, MaxErrorStateValid | [`MOST_DAMAGED`] | |
 //! | MinOkStateInit, MinOkStateValid | 1 | the frame that ends `NODATA` is the first of the window |
 //! | ClearToInvalid | true | |
 //!
-//! What is repeated or out of sequence is neither sound nor damaged, as there.
+//! Frames that are repeated or out of sequence are neither sound nor damaged, as there.
 
 use crate::{
     e2e::{Checker, E2eError},
@@ -70,7 +70,7 @@ pub struct Stream {
     sound: u8,
     /// Likewise: damaged.
     damaged: u8,
-    /// What was last wrong.
+    /// The last error.
     last_error: Option<E2eError>,
 }
 

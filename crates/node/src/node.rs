@@ -3,7 +3,7 @@
 //! This is the whole of what a board does between its converter and its wires, without any
 //! hardware, so the host can run the same thing.
 //!
-//! The tick makes offsets and nothing else. What a CANopen node has to say besides, the heartbeat,
+//! The tick makes offsets and nothing else. The rest of a CANopen node's messages, the heartbeat,
 //! emergencies, the status, answers to SDO requests, is [`Node::service`], which a board calls from a task that
 //! a tick interrupts.
 
@@ -91,7 +91,7 @@ pub struct Node<'a> {
     emergencies: Emergencies,
     /// Of the board, which stay until it says otherwise.
     board_faults: Faults,
-    /// What the operator is asked: nothing is available until it is answered.
+    /// Questions that are open to the operator: nothing is available until they are answered.
     questions: Faults,
     /// The last question that was answered, for the board to keep.
     confirmed: Option<Fault>,
@@ -202,7 +202,8 @@ impl<'a> Node<'a> {
         self.blob
     }
 
-    /// Lets a CANopen master load a calibration through this buffer; without one it is told that nothing can be stored.
+    /// Lets a CANopen master load a calibration through this buffer; without one the answer
+    /// is that nothing can be stored.
     pub fn set_buffer(&mut self, buffer: &'a mut [u8]) {
         self.slot = Slot::new(buffer);
     }
@@ -227,7 +228,7 @@ impl<'a> Node<'a> {
         self.start = start;
     }
 
-    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: nobody knows.
+    /// Notes from which commit of the source the image was built: the first 32 bits of its hash; 0: not known.
     pub fn note_commit(&mut self, commit: u32) {
         self.commit = commit;
     }
@@ -252,7 +253,7 @@ impl<'a> Node<'a> {
         self.answer = self.server.end(outcome).or(self.answer);
     }
 
-    /// Takes a frame from a line. Gives the command it carried, `None` if it is nobody's here, or
+    /// Takes a frame from a line. Gives the command it carried, `None` if it is not for this node, or
     /// not from the master.
     ///
     /// # Errors

@@ -1,7 +1,8 @@
 //! The live values as a person reads them in the board's log: `f32`, in µm and codes.
 //!
-//! What is corrected and what programs read stays integer; `ARCHITECTURE.md` says why. Here a relative error of 3·10⁻⁶
-//! costs nothing, and `micromath` makes the roots cheap: its own root errs by up to 6 %, two of Heron's steps by 2·10⁻⁶.
+//! Corrections and the values that programs read stay integer; `ARCHITECTURE.md` says why. Here a relative error of
+//! 3·10⁻⁶ costs nothing, and `micromath` makes the roots cheap: its own root errs by up to 6 %, two of Heron's steps
+//! by 2·10⁻⁶.
 
 use micromath::F32;
 use trueup_core::{health::Noise, units::Nanometres};
@@ -11,7 +12,8 @@ use trueup_core::{health::Noise, units::Nanometres};
 pub struct ShownValues {
     /// The offset of X, Y and Z in µm; `None`: not available.
     pub offset_um: Option<[f32; 3]>,
-    /// The length of the offset in µm: on a machine without geometric tables the growth along the tool, however that is tilted.
+    /// The length of the offset in µm: on a machine without geometric tables the growth along the tool, however that is
+    /// tilted.
     pub length_um: f32,
     /// The elongation by the sensor, in µm; `None`: none, or not fresh.
     pub elongation_um: Option<f32>,

@@ -1,7 +1,7 @@
 //! How the board came to run: why it last started, where it stood when the start before ended, and
 //! how often it has started.
 //!
-//! The board finds all of it in RAM that a reset does not clear; the node only tells it.
+//! The board finds all of it in RAM that a reset does not clear; the node only reports it.
 
 use trueup_canopen::dictionary;
 use trueup_link::status::ResetReason;

@@ -37,7 +37,7 @@ const WARMTH_MK: u32 = 40_000;
 /// Milliseconds of a phase, as a power of two: 4 s, longer than the default silence after which the
 /// CNC is lost (0.5 s) and the hold after that (2 s) together.
 const PHASE_BITS: u32 = 12;
-/// What is wrong in every other phase, in turn.
+/// The faults of every other phase, in turn.
 const FAULTS: [Fault; 6] = [
     Fault::NoPositions,
     Fault::NoAngles,
@@ -51,7 +51,7 @@ pub const ALL_FAULTS: u32 = (2 * FAULT_COUNT) << PHASE_BITS;
 #[allow(clippy::cast_possible_truncation, reason = "6")]
 const FAULT_COUNT: u32 = FAULTS.len() as u32;
 
-/// What is wrong for a while.
+/// A fault that lasts for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     None,
@@ -124,7 +124,7 @@ pub struct Vectors<'a> {
     temperatures: RawTemperatures,
     /// How far each is above the coldest, in millikelvin.
     warmth_mk: [u32; CHANNELS],
-    /// What the CNC sends in this millisecond.
+    /// Frames that the CNC sends in this millisecond.
     sent: Vec<Frame, 7>,
     /// Of the three positions, the angles, the spindle, the control, tool and conditions.
     counters: [u8; 7],

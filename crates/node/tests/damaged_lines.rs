@@ -1,4 +1,4 @@
-//! What a serial line does to frames: bits that flip, bytes and frames that are lost, doubled, inserted
+//! Damage of frames by a serial line: bits that flip, bytes and frames that are lost, doubled, inserted
 //! or swapped. Nothing may be believed that was not sent, and one frame later all is well again.
 //!
 //! SLCAN has no check of its own, so the frames' protection is all there is; these are the frames of a CNC
@@ -129,7 +129,7 @@ impl Ears {
     }
 }
 
-/// What came of the damaged forms of a line.
+/// Results of the damaged forms of a line.
 #[derive(Clone, Copy, Debug, Default)]
 struct Outcome {
     forms: u64,

@@ -1,4 +1,4 @@
-//! What a master reads of a board: the sensor, the thermometers, the noise, the names, the time.
+//! Values that a master reads of a board: the sensor, the thermometers, the noise, the names, the time.
 
 mod sensor_bridge;
 

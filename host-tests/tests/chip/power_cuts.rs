@@ -39,7 +39,7 @@ hold_ms = 200
 "#;
 const UM_PER_C: f64 = 10.0;
 const LAG_S: f64 = 7_200.0;
-/// What the machine is at before the cut, and its front after it.
+/// Temperature of the machine before the cut, and of its front after it.
 const WARM_C: f64 = 45.0;
 const COOL_C: f64 = 25.0;
 
@@ -74,7 +74,7 @@ fn end(report: &Report) -> (f64, u8) {
     (offsets_z(report, 0.0).last().expect("an offset").1, quality)
 }
 
-/// Returns whether the last state that the board told says that its heat is not known.
+/// Returns whether the board reported last that its heat is not known.
 fn heat_is_unknown(report: &Report) -> bool {
     let mut states = report.events.iter().filter_map(|event| {
         let data = event.split(" can 381 ").nth(1)?;

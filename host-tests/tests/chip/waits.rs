@@ -33,7 +33,7 @@ const LINES: [(u32, &str, f64); 7] = [
 ];
 /// At 19 200 Bd the bytes in the queue of `modbus` last six times as long.
 const SLOW_MODBUS_US: f64 = 36_000.0;
-/// What software starts, the task of each, and its deadline in µs: how long it is pending.
+/// Interrupts that software starts, the task of each, and its deadline in µs: how long it is pending.
 const STARTED: [(&str, &str, f64); 4] = [
     ("EXTI0", "listen", 2_800.0),
     ("SysTick", "supervise", 100_000.0),
@@ -41,7 +41,7 @@ const STARTED: [(&str, &str, f64); 4] = [
     ("EXTI2", "thermometers", 1_000_000.0),
 ];
 
-/// What the board does every 10 ms, every 100 ms or once a second may fall together with what comes over the lines,
+/// Work of every 10 ms, every 100 ms or once a second may fall together with bytes and frames from the lines,
 /// or not: at 16 MHz the script is played as often as this, this many ms later each time.
 const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 

@@ -14,7 +14,7 @@ use super::{
     support::{trueup, xtask},
 };
 
-/// What python-can learns of a bridge: the identifiers of this many frames.
+/// Script of python-can that prints the identifiers in this many frames of a bridge.
 const HEAR: &str = "import can, sys\n\
     with can.Bus(interface='slcan', channel=sys.argv[1], bitrate=1_000_000, sleep_after_open=0.0) as bus:\n\
     \x20   print(sorted({bus.recv(timeout=30).arbitration_id for _ in range(300)}))\n";

@@ -29,7 +29,7 @@ use trueup_store::calibration::identity;
 /// A code of the converter is 8 counts of the paper.
 const CODE: u32 = 1_145;
 const GROWN_UM: f64 = (8.0 * CODE as f64 - 5_048.0) * 0.015_258_789_062_5;
-/// What `bridge info` says first, on a computer that has better to do.
+/// Time in which `bridge info` has to answer, on a computer that has better to do.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// An hour: the test ends it before.
 const LONG: [&str; 3] = ["--bor", "--ms", "3600000"];

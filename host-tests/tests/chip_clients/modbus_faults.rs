@@ -1,4 +1,4 @@
-//! What a master can do wrong on the RS-485 line of the flashable image, and a master next to it: the exception that
+//! Errors of a master on the RS-485 line of the flashable image, and a second master on it: the exception that
 //! the standard names or no answer at all, and nothing moves. All times are the board's.
 
 use anyhow::{Context as _, Result, ensure};
@@ -27,11 +27,11 @@ const STANDS: u32 = 10;
 struct Fault {
     name: &'static str,
     bytes: Vec<u8>,
-    /// What the UART makes of its first byte, by the model's name for it; empty: what it is.
+    /// Fault of its first byte at the UART, by the model's name for it; empty: none.
     line: &'static str,
     /// Here the line pauses, within what is to be one frame.
     pause_at: Option<usize>,
-    /// What it is to be told; `None`: nothing.
+    /// The expected answer; `None`: nothing.
     answer: Option<Vec<u8>>,
 }
 
@@ -122,7 +122,7 @@ impl Master {
     }
 }
 
-/// What the board has answered.
+/// Answers of the board.
 struct Answers(Vec<(f64, Vec<u8>)>);
 
 impl Answers {

@@ -7,7 +7,7 @@ use trueup_link::status::{ResetReason, StateBits};
 /// A fault, when it comes in its run, and what must be seen of it after that.
 #[derive(Clone, Copy)]
 pub struct Case {
-    /// What is wrong.
+    /// Description of the fault.
     pub fault: &'static str,
     /// When it comes, in ms of its run.
     pub at: u32,
@@ -49,7 +49,7 @@ impl Case {
         Self { emergency: Some(fault), ..self }
     }
 
-    /// Returns an emergency that whoever opens the line later reads in the history, because there is no CAN.
+    /// Expects an emergency that a client reads later in the history, because there is no CAN.
     pub const fn history(self, fault: Fault) -> Self {
         Self { emergency: Some(fault), is_history: true, ..self }
     }
@@ -156,7 +156,7 @@ pub const HISTORY: u16 = 0x1003;
 /// Index and sub-index of an object.
 type At = (u16, u8);
 
-/// What was seen of a run: each with its time in ms.
+/// Events of a run: each with its time in ms.
 #[derive(Default)]
 pub struct Seen {
     /// Quality and flags.

@@ -7,12 +7,12 @@ use trueup_link::status::{ResetReason, StateBits};
 
 use crate::case::Case;
 
-/// What runs on the chip.
+/// Image that runs on the chip.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Image {
     /// The one that is flashed.
     Flashed,
-    /// The one that breaks when it is told to.
+    /// The one that breaks on command.
     Breaking,
     /// The one that is flashed, with a calibration that is damaged.
     NoCalibration,
@@ -33,7 +33,7 @@ pub struct Run {
     pub cases: Vec<(String, Case)>,
 }
 
-/// The word of RAM that tells the breaking image what to do, in scripts.
+/// The word of RAM that commands the breaking image, in scripts.
 const KEY: &str = "KEY";
 const ENGAGED: &str = "0 flags 2\n250 flags 3\n";
 

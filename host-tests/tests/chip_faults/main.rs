@@ -1,5 +1,5 @@
-//! Every fault of the flashable image that the list names, provoked on the model of its chip: what becomes of it, within
-//! what time, and what the board says after it. The page `docs/faults.md` is printed from the same list.
+//! Every fault of the flashable image that the list names, provoked on the model of its chip: what becomes of it,
+//! within what time, and what the board says after it. The page `docs/faults.md` is printed from the same list.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "a test prints its figures")]
 
 mod case;
@@ -21,7 +21,7 @@ use trueup_emulator::{chip, firmware, seal, setup};
 
 /// Of 80 KB (`src/board/stm32f405/guard.x`).
 const HALF_A_STACK: u16 = 40 * 1024;
-/// What the breaking image is told by, and only it.
+/// Symbol of the word that commands the breaking image, and only it.
 const KEY: &str = "TRUEUP_FAULT_KEY";
 
 /// The model and the images; `None`: this compiler is too old for the model.

@@ -1,5 +1,5 @@
 //! Calibrations on the flashable image: one that is loaded while the power goes, and what the start makes of
-//! slots that are damaged. Whatever happens, the board runs on a calibration that somebody has made, or says
+//! slots that are damaged. Whatever happens, the board runs on one of the calibrations that were made, or says
 //! that it has none.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 

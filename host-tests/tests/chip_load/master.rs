@@ -1,4 +1,4 @@
-//! A CANopen master by script: what it sends at which time, and what it was told.
+//! A CANopen master by script: what it sends at which time, and what the board reports.
 
 /// From one request to the next; the bridge answers every 2 ms.
 const STEP_MS: f64 = 2.2;
@@ -32,7 +32,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What the board has told, with the times in ms.
+/// Reports of the board, with the times in ms.
 #[derive(Default)]
 pub struct Told {
     /// Answers of SDO.

@@ -49,7 +49,7 @@ impl NorFlash for Sectors<'_> {
     }
 }
 
-/// What is damaged of a slot.
+/// Damaged part of a slot.
 #[derive(Clone, Copy, PartialEq)]
 enum Part {
     Nothing,

@@ -21,7 +21,7 @@ use serde_json::json;
 
 /// As in the sample's machine file.
 const HOLD: Duration = Duration::from_secs(2);
-/// What LinuxCNC's planner leaves undone, and the arithmetic.
+/// Residual of LinuxCNC's planner, and the arithmetic.
 const STILL_UM: f64 = 0.01;
 
 /// Runs a scenario from a rig in order back to a rig in order, with this growth at its end. LinuxCNC

@@ -1,6 +1,6 @@
-//! Three tools in the real LinuxCNC: each grows with the speed in its own way, where the sensor in the nose does not see it.
-//! The twin is the metal: it receives which tool LinuxCNC has in the spindle and how fast that turns, the sensor's growth goes to
-//! the bridge, and what counts is where the tool tip is.
+//! Three tools in the real LinuxCNC: each grows with the speed in its own way, where the sensor in the nose does not
+//! see it. The twin is the metal: it receives which tool LinuxCNC has in the spindle and how fast that turns, the
+//! sensor's growth goes to the bridge, and what counts is where the tool tip is.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use std::{
@@ -20,7 +20,7 @@ use trueup_twin::{
 
 use super::linuxcnc_rig::{bridge::Bridge, control};
 
-/// What the user knows: the sensor, and each tool by its number.
+/// The user's machine file: the sensor, and each tool by its number.
 const MACHINE: &str = "\
 [machine]
 name = \"three tools\"
@@ -75,10 +75,11 @@ const HURRIED: f64 = 20.0;
 /// From a change on the offset comes within this, frames and ramp; then it counts.
 const COMES: Duration = Duration::from_millis(1_500);
 const COUNTS: Duration = Duration::from_millis(1_500);
-/// What tools and speeds have to leave of the growth.
+/// Share of the growth that may be left, with tools and speeds.
 const LEFT: f64 = 0.05;
 
-/// Lets the metal live with what LinuxCNC does; gives growth and what the offset leaves of it, in µm, once `wait` is over.
+/// Lets the metal live with what LinuxCNC does; gives growth and what the offset leaves of it, in µm, once `wait` is
+/// over.
 fn live(
     cnc: &mut Headless,
     bridge: &Bridge,

@@ -1,4 +1,4 @@
-//! What happens to a LinuxCNC with offsets at its joints, one event after the other.
+//! Events at a LinuxCNC with offsets at its joints, one after the other.
 
 use std::{
     collections::BTreeMap,
@@ -98,7 +98,7 @@ pub(crate) fn homing(rig: &mut Rig) -> Result<()> {
     Ok(())
 }
 
-/// A component that has ended is loaded again while an offset with a base acts: nothing moves, whatever it was told
+/// A component that has ended is loaded again while an offset with a base acts: nothing moves, whatever it received
 /// last. While it is gone, killed or ended, the offset is held.
 pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
     let names = ["trueup-mv.offset-current-0", "trueup-mv.offset-current-2", "trueup-j0.out"];

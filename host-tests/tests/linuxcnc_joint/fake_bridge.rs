@@ -21,7 +21,7 @@ use trueup_link::{
     slcan::encode_line,
 };
 
-/// What it says, and whether it lives.
+/// Its offsets, and whether it lives.
 #[derive(Debug, Default)]
 struct Shared {
     offset_nm: [AtomicI32; 3],

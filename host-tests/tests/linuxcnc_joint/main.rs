@@ -48,15 +48,15 @@ const SWITCH: f64 = -2.0;
 /// One servo cycle, in mm.
 #[derive(Clone, Copy, Debug, Default)]
 struct Cycle {
-    /// What the planner commands.
+    /// Command of the planner.
     planner: [f64; 3],
-    /// What the drives get.
+    /// Command to the drives.
     drive: [f64; 3],
     /// The offsets that act.
     offset: [f64; 3],
-    /// What the planner sees of the drives.
+    /// Position of the drives as the planner sees it.
     feedback: [f64; 3],
-    /// What the bridge says of X, as the component passes it on.
+    /// Offset of X from the bridge, as the component passes it on.
     goal: f64,
     is_on: bool,
 }

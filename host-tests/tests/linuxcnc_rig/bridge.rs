@@ -40,7 +40,7 @@ const ZERO_COUNTS: f64 = 5_048.0;
 const UM_PER_COUNT: f64 = 500.0 / 32_768.0;
 const VOLTS_PER_COUNT: f64 = 10.0 / 32_768.0;
 
-/// What happens to lines on their way.
+/// Damage of lines on their way.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Damage {
     /// The share of lines with a wrong character.
@@ -191,7 +191,7 @@ fn live(image: &Path, calibration: &[u8], divider: f64, shared: &Arc<Shared>) ->
     Ok(())
 }
 
-/// Takes what the board says to the client, if there is one. QEMU stops when nobody listens.
+/// Passes the board's bytes to the client, if there is one. QEMU stops if they are not read.
 fn listen_to(mut serial: UnixStream, shared: &Arc<Shared>) -> JoinHandle<()> {
     let shared = shared.clone();
     thread::spawn(move || {
@@ -240,7 +240,7 @@ fn serve(listener: TcpListener, shared: &Arc<Shared>) -> Result<()> {
     Ok(())
 }
 
-/// What a bad line does to SLCAN lines.
+/// A bad line, which damages SLCAN lines.
 struct Noise {
     random: ChaCha8Rng,
     line: Vec<u8>,

@@ -9,7 +9,7 @@ use trueup_emulator::{
     setup::{self, LinuxCnc},
 };
 
-/// What is read in every servo cycle; see [`super::samples`].
+/// Recorder of every servo cycle; see [`super::samples`].
 const RECORDER: &str = "\
 loadrt sampler depth=16000 cfg=sffffffffffffbb
 addf sampler.0 servo-thread
@@ -32,7 +32,7 @@ loadusr halsampler -t FOLDER/samples.txt
 ";
 /// The file that gets a line every servo cycle.
 pub const RECORDING: &str = "samples.txt";
-/// What both sample configurations include.
+/// File that both sample configurations include.
 const INCLUDED: &str = "trueup_machine.inc";
 /// After the screen has come.
 const LATE: [&str; 2] = ["net scenario screen.scenario", "net trueup-zero screen.zero"];

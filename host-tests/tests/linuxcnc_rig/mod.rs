@@ -24,7 +24,7 @@ pub const GROWN_UM: f64 = 40.0;
 pub const CLOSE_UM: f64 = 0.5;
 /// The slew limit of the sample's machine file, in nm a servo cycle of 1 ms.
 pub const SLEW_NM: f64 = 500.0;
-/// What LinuxCNC's arithmetic in double adds, in nm.
+/// Error of LinuxCNC's arithmetic in double, in nm.
 pub const NOISE_NM: f64 = 0.01;
 
 /// Offsets in µm, and where they come from.
@@ -37,7 +37,7 @@ pub const APPLIED: [&str; 3] =
 pub struct Rig {
     pub bridge: Bridge,
     pub cnc: Headless,
-    /// What LinuxCNC and the component had said before the bridge was there.
+    /// Messages of LinuxCNC and the component from before the bridge was there.
     pub told_at_start: String,
     scenario: i32,
     /// How far the recording has been read.
@@ -143,7 +143,7 @@ impl Rig {
     }
 
     /// Returns what is applied, in µm, once it has not changed for two seconds: a busy computer takes its time
-    /// to tell the board where the axes are.
+    /// to send the board the positions of the axes.
     pub fn settled_um(&mut self) -> Result<[f64; 3]> {
         let mut last = [f64::INFINITY; 3];
         let mut since = std::time::Instant::now();

@@ -56,7 +56,7 @@ pub fn read(path: &Path, from: &mut u64) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
-/// What was seen over a stretch of cycles.
+/// The largest steps over a stretch of cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Steps {
     /// Number of servo cycles.

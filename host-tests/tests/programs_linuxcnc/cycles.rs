@@ -1,4 +1,4 @@
-//! What LinuxCNC's recorder says of each servo cycle. It is always read, or it would be overrun; and no wait for it is
+//! Lines of LinuxCNC's recorder on each servo cycle. It is always read, or it would be overrun; and no wait for it is
 //! without an end.
 
 use std::{

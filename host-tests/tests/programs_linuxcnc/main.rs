@@ -1,6 +1,6 @@
 //! `trueup program` on the real LinuxCNC: it runs the program that measures, a virtual machine moves as
 //! its joints are sent, the indicator is read by itself wherever the machine stands as the run file says,
-//! and `trueup fit` gets back what was put into that machine. Nobody touches anything in between.
+//! and `trueup fit` gets back what was put into that machine. Nothing is touched by hand in between.
 //!
 //! ```text
 //! plan ─► LinuxCNC ─ every servo cycle ─► twin ─ at each dwell ─► run file, filled in ─► fit
@@ -45,7 +45,7 @@ use trueup_twin::{
     machine::{Command, Machine},
 };
 
-/// What it commands in each servo cycle.
+/// Recorder of its commands in each servo cycle.
 const RECORDER: &str = "\
 loadrt sampler depth=16000 cfg=ffff
 addf sampler.0 servo-thread

@@ -12,7 +12,7 @@ use trueup_program::{Control, Kind, Options, Plan, control};
 
 use crate::{PATIENCE_S, Rig, Y, cycles::Cycles, made, options, start};
 
-/// What LinuxCNC commands of X, Y, Z and the spindle.
+/// Pins with LinuxCNC's commands of X, Y, Z and the spindle.
 const COMMANDED: [&str; 4] = [
     "joint.0.motor-pos-cmd",
     "joint.1.motor-pos-cmd",

@@ -33,7 +33,7 @@ pub struct Bench {
     image: PathBuf,
     /// The board itself.
     pub board: VirtualBoard,
-    /// What it has told of since its start.
+    /// Faults that it has reported since its start.
     pub faults: Vec<Fault>,
     front_end: FrontEnd,
     offsets: OffsetReceiver,

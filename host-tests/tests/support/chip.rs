@@ -29,7 +29,7 @@ impl Chip {
         Self::built(text, firmware::build_for)
     }
 
-    /// Returns the same that breaks when it is told to.
+    /// Returns the same that breaks on command.
     pub fn that_breaks(text: &str) -> Result<Option<Self>> {
         Self::built(text, firmware::build_that_breaks)
     }

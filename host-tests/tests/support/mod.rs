@@ -75,13 +75,13 @@ pub struct Running {
 pub struct Ended {
     /// Its exit code, or the signal that ended it.
     pub status: ExitStatus,
-    /// What it said on standard error.
+    /// Text on standard error.
     pub stderr: String,
     /// How long it took, from when it was waited for.
     pub took: Duration,
 }
 
-/// Returns the command, not yet started. It is built once, and so is the image, so that whoever starts it
+/// Returns the command, not yet started. It is built once, and so is the image, so that a test that starts it
 /// need not wait for a compiler.
 pub fn xtask() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();

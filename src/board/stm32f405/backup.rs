@@ -1,15 +1,15 @@
-//! What outlasts a power cut, where VBAT has a battery: the backup SRAM, and the clock that says how long it was
-//! (sections 5.1.2, 5.4, 7.1.3, 7.3.20 and 26).
+//! Memory that outlasts a power cut, where VBAT has a battery: the backup SRAM, and the clock that says how long the
+//! cut was (sections 5.1.2, 5.4, 7.1.3, 7.3.20 and 26).
 //!
 //! | step | when |
 //! |---|---|
 //! | regulator of the SRAM and crystal of 32.768 kHz on | at every start |
-//! | calendar set to 2001, and a mark that it is ours | once the crystal swings, some 2 s later, once in the battery's life |
+//! | calendar set to 2001, and a mark that it is ours | once the crystal swings (some 2 s), once in a battery's life |
 //! | the copies of [`retained`] written, with the clock's time in them | every second |
 //! | the copies read, and the clock | at a start after a power cut |
 //!
-//! Whatever is missing, a battery, the crystal, a clock that runs at once, our mark, a whole copy, a time that can be, the
-//! copies count for nothing, and are wiped: what was not believed once must not be believed at the next start.
+//! Whatever is missing, a battery, the crystal, a clock that runs at once, our mark, a whole copy, a time that can be,
+//! the copies count for nothing, and are wiped: what was not believed once must not be believed at the next start.
 //! Writes reach all of this only while one of these functions lets them.
 
 use core::ptr;
@@ -68,7 +68,7 @@ impl Backup {
     }
 
     /// After a power cut: fills the copies with what has outlasted it, and gives for how many seconds the power
-    /// was gone. Where nobody knows that, the copies are empty. After any other reset they stay as they are.
+    /// was gone. If that is not known, the copies are empty. After any other reset they stay as they are.
     pub fn restore(&mut self, copies: &mut Copies) -> u32 {
         if !self.was_cut {
             return 0;

@@ -4,7 +4,7 @@
 //! 3 resets it below about 2.8 V (data sheet, embedded reset and power control block). The level
 //! is an option byte (section 3.7.1), kept without power, so it is written once in a board's life: by the
 //! first start of a new board. That takes a quarter of a second in which the core stands still, so a board
-//! that a machine relies on already, whose option bytes somebody else has changed, comes up first, and does it
+//! that a machine relies on already, whose option bytes were changed from outside, comes up first, and does it
 //! when it has given no offset for a while.
 
 use super::{

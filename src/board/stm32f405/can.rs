@@ -6,7 +6,7 @@
 //! frame takes the place of one that still waits there. And `bxcan` waits without a limit for the
 //! controller to answer; here a controller that does not answer is dead, and everything is inert.
 //!
-//! What the CNC says is spread over both FIFOs of three: a cycle of its six fast frames, back to back,
+//! Frames of the CNC are spread over both FIFOs of three: a cycle of the six fast ones, back to back,
 //! fits whole, so the tasks have time until the next cycle. `Conditions` comes twenty times a second; if one is
 //! lost to a full FIFO, the next is there long before its timeout.
 //!
@@ -30,7 +30,7 @@ use super::{super::CanState, clocks::Source, within};
 
 /// 1 Mbit/s at 42 MHz: prescaler 3; 1 + 11 + 2 quanta, sampled at 86 %; jump width 1.
 const BIT_TIMING: u32 = 0x001a_0002;
-/// What the CNC and a CANopen master say, by FIFO. The filter drops everything else but heartbeats.
+/// Frames of the CNC and of a CANopen master, by FIFO. The filter drops everything else but heartbeats.
 const HEARD: [[u16; 4]; 2] = [
     [POSITION_X_ID, POSITION_Y_ID, CONTROL_ID, SDO_REQUEST_ID],
     [POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, NMT_ID],
@@ -220,7 +220,7 @@ impl CanOut {
         core::mem::take(&mut self.worst)
     }
 
-    /// Section 32.9.2, ESR. A controller that was told to join and has not left its initialisation sees no
+    /// Section 32.9.2, ESR. A controller that was commanded to join and has not left its initialisation sees no
     /// quiet bus: a dominant one, by a short or a dead transceiver.
     fn look(&mut self) {
         let errors = self.can.esr().read();

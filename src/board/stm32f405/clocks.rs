@@ -33,7 +33,7 @@ use super::{
     stopwatch::{self, soon},
 };
 
-/// What the core is clocked from.
+/// Clock source of the core.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// 168 MHz from the crystal.
@@ -149,7 +149,8 @@ fn configuration(source: Source) -> Config {
     }
 }
 
-/// The crystal has stopped: a record for the next start. Nothing is logged: the NMI may have come in the midst of a log.
+/// The crystal has stopped: a record for the next start. Nothing is logged: the NMI may have come in the midst of a
+/// log.
 // SAFETY: "unsafe" is how cortex-m-rt marks a handler that critical sections do not hold off; this
 // one writes a record that nobody else writes any more.
 #[cortex_m_rt::exception]

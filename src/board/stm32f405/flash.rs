@@ -68,7 +68,7 @@ impl Flash {
     /// Returns what is stored there, in place.
     ///
     /// # Safety
-    /// Nobody writes to it or erases it from now on.
+    /// It is neither written nor erased from now on.
     #[allow(unsafe_code, reason = "registers and words of the flash")]
     pub unsafe fn mapped(&self, offset: u32, length: usize) -> &'static [u8] {
         let end = offset as usize + length;
@@ -194,8 +194,8 @@ impl NorFlash for Flash {
     }
 }
 
-/// What the data cache holds of an erased sector is old; it is emptied while it is off (section
-/// 3.6.4). What is programmed, the cache follows by itself.
+/// Empties the data cache, whose values of an erased sector are old; it is off meanwhile (section
+/// 3.6.4). After programming, the cache follows by itself.
 fn forget_cached(flash: &FLASH) {
     flash.acr().modify(|_, w| w.dcen().clear_bit());
     flash.acr().modify(|_, w| w.dcrst().set_bit());

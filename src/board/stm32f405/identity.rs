@@ -1,4 +1,4 @@
-//! The number that tells this chip from every other: 96 bits that the factory wrote (section 39.1).
+//! The number that distinguishes this chip from every other: 96 bits that the factory wrote (section 39.1).
 
 use core::ptr;
 

@@ -18,7 +18,7 @@ const START: u32 = 0x0800_0000;
 const PIECE: u32 = 256;
 /// The unit's polynomial; it begins with ones and takes the highest bit first.
 const POLYNOMIAL: u32 = 0x04C1_1DB7;
-/// What each half of a byte does to the CRC, for [`step`].
+/// Effect of each half of a byte on the CRC, for [`step`].
 const STEPS: [u32; 16] = {
     let mut steps = [0; 16];
     let mut half = 0;
@@ -52,7 +52,7 @@ struct Check {
 #[allow(unsafe_code, reason = "a name that the build knows")]
 static CHECK: Check = Check { length: NONE, crc: NONE };
 
-/// What is known of the image.
+/// Verdict on the image.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
 pub enum Verdict {
     /// It is the one that was built.

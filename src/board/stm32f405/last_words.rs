@@ -1,9 +1,9 @@
-//! What a start that ends badly leaves to the next one: why, and where, in RAM that a reset leaves as it
+//! Record that a start which ends badly leaves to the next one: why, and where, in RAM that a reset leaves as it
 //! is and the start does not clear.
 //!
 //! A log is lost where no probe listens, and a watchdog's reset says nothing. So a panic, a hard fault,
-//! a crystal that stops and a register that has changed write a record before they reset; the next start reads it once. After power-on
-//! the RAM holds anything, so a record counts with its checksum only.
+//! a crystal that stops and a register that has changed write a record before they reset; the next start reads it once.
+//! After power-on the RAM holds anything, so a record counts with its checksum only.
 
 use core::{
     mem::MaybeUninit,
@@ -56,7 +56,7 @@ pub struct Core {
     pub address: u32,
 }
 
-/// What was left.
+/// The record that was left.
 pub struct LastWords {
     pub why: Why,
     pub stop: Stop,

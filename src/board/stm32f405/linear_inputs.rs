@@ -10,7 +10,7 @@
 //!
 //! Each trigger converts the next channel (discontinuous mode, section 13.3.10) in the pause that the
 //! sensor leaves, so a channel has 50 codes in 20 ms, a period of mains of 50 Hz, and 125 in 50 ms, three
-//! periods of 60 Hz. Their mean is what it delivers. No software is in it until somebody asks for the mean, ten times a second.
+//! periods of 60 Hz. Their mean is what it delivers. No software is in it until the mean is taken, ten times a second.
 
 use core::sync::atomic::{AtomicU16, Ordering, fence};
 
@@ -35,7 +35,7 @@ const MAX_CODES: usize = 125;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
 const STOP_POLLS: u32 = 200;
 
-/// What the DMA writes: channel 0 to 7, and again. Atomic, so that the compiler expects the values to
+/// Buffer that the DMA writes: channel 0 to 7, and again. Atomic, so that the compiler expects the values to
 /// change by themselves; in the SRAM of the bus matrix, which the DMA reaches.
 static RING: [AtomicU16; MAX_CODES * TEMPERATURES] =
     [const { AtomicU16::new(0) }; MAX_CODES * TEMPERATURES];

@@ -77,14 +77,14 @@ use trueup_store::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
 
-/// What the host compiled from the machine file, linked into the image. One that was loaded over it
+/// Calibration that the host compiled from the machine file, linked into the image. One that was loaded over it
 /// counts instead.
 static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
 
-/// It is the example's, because nobody gave a machine file when the image was built.
+/// It is the example's, because the image was built without a machine file.
 const IS_EXAMPLE: bool = matches!(env!("TRUEUP_EXAMPLE").as_bytes(), b"1");
 
-/// After a power cut nobody knows how warm the machine is.
+/// After a power cut it is not known how warm the machine is.
 pub const COLD_AT_START: bool = false;
 
 /// Turns of the supervisor in one second.
@@ -282,7 +282,7 @@ pub fn restart() {
     SCB::sys_reset()
 }
 
-/// What the core does when no task has work.
+/// Work of the core when no task has any.
 pub struct Idle;
 
 impl Idle {

@@ -8,8 +8,8 @@
 //! | RAM | read and written | data are never run |
 //! | 8 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
 //!
-//! What lies outside of these is as without it. Faults themselves run without it, so that one on a full
-//! stack can still be told. A later region counts where two overlap.
+//! Memory outside of these is as without it. Faults themselves run without it, so that one on a full
+//! stack can still be reported. A later region counts where two overlap.
 
 use core::ops::Range;
 

@@ -1,4 +1,4 @@
-//! What a panic and a hard fault do: leave a record for the next start, log, and reset.
+//! Handlers of a panic and a hard fault: they leave a record for the next start, log, and reset.
 //!
 //! Nothing in the image is meant to end so. If it does, the state of the tasks is not to be
 //! trusted, and starting anew is quicker and safer than any repair: the CNC sees a short silence

@@ -9,8 +9,8 @@
 //!
 //! It spares what outlasts a reset (`.uninit`, and up to 15 bytes on either side), and leaves the
 //! paint, by which the stack's high-water mark is found later ([`super::stack`]). It takes 25 ms of the
-//! internal oscillator. Nothing else can run yet, so it is written for the core's registers alone. What it
-//! does not find: cells of one word that influence each other, and what fails later.
+//! internal oscillator. Nothing else can run yet, so it is written for the core's registers alone. It does
+//! not find cells of one word that influence each other, nor what fails later.
 
 #![allow(
     unsafe_code,
@@ -23,7 +23,7 @@ use core::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-/// What the RAM holds after the test where nobody has written.
+/// Content of the RAM after the test, until it is written.
 pub const PAINT: u32 = 0xCCCC_CCCC;
 
 /// An address that failed, to 16 bytes; 0: none did.

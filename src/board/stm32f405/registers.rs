@@ -1,4 +1,4 @@
-//! Registers that nobody changes after the start are read again at every turn of the supervisor, and held against
+//! Registers that do not change after the start are read again at every turn of the supervisor, and held against
 //! what they were at its first: a bit that flips by itself, or by a stray write, is found within 10 ms.
 //!
 //! The parts of a register that the board does change are left out: what the DMA moves, what a restart of
@@ -81,7 +81,7 @@ const WATCHED: [Watched; 56] = [
     (0xE000_E104, ALL),
 ];
 
-/// What they were.
+/// The values of the watched registers.
 pub struct Registers([u32; WATCHED.len()]);
 
 /// One that has changed.

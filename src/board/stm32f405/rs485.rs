@@ -8,7 +8,7 @@
 //! | PB5 | 19 200 Bd | 115 200 Bd |
 //! | PB6 | even parity | none, two stop bits |
 //!
-//! A byte comes by interrupt, with its time, because Modbus tells the end of a frame by silence alone: TIM5
+//! A byte comes by interrupt, with its time, because Modbus marks the end of a frame by silence alone: TIM5
 //! counts microseconds and says when 3.5 characters have passed. A byte takes 573 µs, or 95; the interrupt must
 //! come within that. One that is late costs a frame, which the master asks for again.
 //!
@@ -39,7 +39,7 @@ pub struct Pins {
     pub drive: PB12,
     pub rate: ErasedPin<Input>,
     pub parity: ErasedPin<Input>,
-    /// What they add to the address: 1, 2, 4, 8.
+    /// Their weights in the address: 1, 2, 4, 8.
     pub address: [ErasedPin<Input>; 4],
 }
 

@@ -7,7 +7,7 @@
 //!     compare 4 ──► ADC1 injected, VREFINT ──► JDR1
 //! ```
 //!
-//! What is not the sensor is converted in the part of the 50 µs that the sensor leaves, so that neither
+//! The other inputs are converted in the part of the 50 µs that the sensor leaves, so that neither
 //! converter samples while the other one decides a bit of the sensor's code, and no conversion of the
 //! sensor is ever broken off.
 //!
@@ -18,7 +18,7 @@
 //! | 16 MHz, no PLL | 8 MHz | 144 + 12, 19.5 µs | 112 + 12, 15.5 µs | 36.0 µs |
 //!
 //! The DMA fills one buffer while the task takes the other, and changes over by itself (double
-//! buffer mode, section 10.3.9). The task has 1 ms. TIM2 tells whether it was in time: unlike the
+//! buffer mode, section 10.3.9). The task has 1 ms. TIM2 shows whether it was in time: unlike the
 //! flag of the DMA, which does not say how often it was set, its count also shows the blocks that
 //! went by while the core was held up.
 //!
@@ -58,7 +58,7 @@ const REMARK_PER_MILLE: u32 = 50;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
 const STOP_POLLS: u32 = 200;
 
-/// What the DMA writes. Atomic, so that the compiler expects the values to change by themselves;
+/// Buffers that the DMA writes. Atomic, so that the compiler expects the values to change by themselves;
 /// in the SRAM of the bus matrix, because the DMA does not reach the core-coupled memory.
 static BUFFERS: [[AtomicU16; BLOCK]; 2] = [const { [const { AtomicU16::new(0) }; BLOCK] }; 2];
 
@@ -305,7 +305,7 @@ impl Samples {
     }
 }
 
-/// What the supply is by the factory's value, which was taken at 3.3 V (data sheet, VREFINT_CAL): it is no
+/// Logs the supply by the factory's value, which was taken at 3.3 V (data sheet, VREFINT_CAL): it is no
 /// more than a remark, because a board may be made for another supply.
 fn remark_supply(code: Code) {
     let factory = u32::from(VrefCal::get().read());

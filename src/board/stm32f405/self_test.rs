@@ -1,4 +1,4 @@
-//! What the board finds out about itself: at the start, whether its RAM holds what is written into it, and then all the
+//! Self-test of the board: at the start, whether its RAM holds what is written into it, and then all the
 //! time whether the image and the registers are what they were.
 
 use stm32f4xx_hal::{pac::CRC, rcc::Rcc};
@@ -12,7 +12,7 @@ use super::{
     stack::Watermark,
 };
 
-/// What is found out, a piece at each turn of the supervisor.
+/// The self-test, a piece at each turn of the supervisor.
 pub struct SelfTest {
     image: Image,
     ram_failed: bool,

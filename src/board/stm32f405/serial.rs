@@ -2,7 +2,7 @@
 //!
 //! USART1 sits on APB2: 84 MHz come to within 0.16 % of the rate, APB1's 42 MHz only to 0.93 %.
 //! The DMA moves the bytes both ways ([`super::serial_dma`]): so none is lost while the flash is
-//! programmed or interrupts are held off, and nobody waits for a byte to leave. Where the DMA does not
+//! programmed or interrupts are held off, and no task waits for a byte to leave. Where the DMA does not
 //! move, as in an emulator, the board says so and falls back: bytes come in by interrupt and go out by
 //! polling, in the lowest task.
 
@@ -75,7 +75,7 @@ pub struct SerialIn {
 
 impl SerialIn {
     /// Returns the next byte that came in. `None`: there is none, or it came damaged, or the one after it was
-    /// lost; reading has cleared the error then, and the checksum of the frame tells the rest.
+    /// lost; reading has cleared the error then, and the checksum of the frame shows the rest.
     pub fn read(&mut self) -> Option<u8> {
         match &mut self.incoming {
             Some(_) => self.take_moved(),

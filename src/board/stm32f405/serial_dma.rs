@@ -1,8 +1,8 @@
 //! The DMA of the serial line (section 10.3.3): DMA2 stream 2 brings bytes in, stream 7 takes them out,
 //! both on channel 4.
 //!
-//! What comes in goes round a ring; its two interrupts, half-way and at the end, and the pause of the line
-//! say when to look. What goes out goes in pieces of up to 128 bytes, with an interrupt at the end of each.
+//! Incoming bytes go round a ring; its two interrupts, half-way and at the end, and the pause of the line
+//! say when to look. Outgoing bytes go in pieces of up to 128, with an interrupt at the end of each.
 //! Stream 0 of the same controller is the converter's: each clears its own flags only.
 
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering, fence};
@@ -13,14 +13,14 @@ use super::within;
 
 /// Half of it is 1.39 ms of the line, the time to look.
 const RING: usize = 256;
-/// What goes out in one piece: 1.39 ms of the line.
+/// Bytes that go out in one piece: 1.39 ms of the line.
 const PIECE: usize = 128;
 /// Channel of both streams.
 const CHANNEL: u8 = 4;
 /// A stream stops within one transfer, far less than a microsecond; this is some ten.
 const STOP_POLLS: u32 = 200;
 
-/// What the DMA writes and reads. Atomic, so that the compiler expects the values to change by
+/// Memory that the DMA writes and reads. Atomic, so that the compiler expects the values to change by
 /// themselves; in the SRAM of the bus matrix, which the DMA reaches.
 static IN: [AtomicU8; RING] = [const { AtomicU8::new(0) }; RING];
 /// Words, so that four bytes go in at once.

@@ -3,9 +3,9 @@
 //! SCK, MISO and MOSI are shared, and each converter is selected by a pin of its own. The bus runs
 //! at 1.3 MHz, a quarter of what they can do, in mode 1. One converter has its turn every 10 ms, so
 //! each has one every 100 ms, of at most two selections and 0.1 ms. It is polled, by a task that
-//! nobody waits for.
+//! no other one waits for.
 //!
-//! What is said is in [`trueup_max31865`], which the host tests. Here it is only carried: every wait
+//! The protocol is in [`trueup_max31865`], which the host tests. Here it is only carried: every wait
 //! has a bound, and a bus that does not answer within it is a missing converter.
 
 use embedded_hal::{
@@ -50,7 +50,7 @@ pub type Selects = [ErasedPin<Output>; TEMPERATURES];
 struct Channel {
     select: ErasedPin<Output>,
     converter: Converter,
-    /// What the calibration says of it.
+    /// Its thermometer in the calibration.
     thermometer: Option<Thermometer>,
     /// How often it was another kind of reading than before.
     changes: u32,

@@ -9,7 +9,7 @@ use stm32f4xx_hal::{
     watchdog::IndependentWatchdog,
 };
 
-/// What the last reset came from.
+/// Cause of the last reset.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
 pub enum Reset {
     /// The supervisor had stopped.
@@ -46,7 +46,7 @@ pub fn last_reset(rcc: &RCC) -> Reset {
     }
 }
 
-/// Why the board started, as it tells it: a reset by software has several reasons, and a watchdog that bit
+/// Why the board started, as it reports it: a reset by software has several reasons, and a watchdog that bit
 /// while the board was ending itself is not the first of them.
 pub fn reason(reset: Reset, last_words: Option<&LastWords>) -> ResetReason {
     match (reset, last_words.map(|words| words.why)) {

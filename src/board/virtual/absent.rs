@@ -1,4 +1,4 @@
-//! What an emulated board has no need of.
+//! Parts that an emulated board does not need.
 
 use trueup_modbus::rtu::Heard;
 use trueup_store::retained::Copies;
@@ -59,7 +59,7 @@ impl Rs485 {
     pub fn send(&mut self, _next: impl FnMut() -> Option<u8>) {}
 }
 
-/// Nobody is waited for.
+/// No silence is waited for.
 pub struct Silence;
 
 impl Silence {

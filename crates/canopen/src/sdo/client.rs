@@ -2,7 +2,7 @@
 //! whatever is longer than 4 bytes.
 //!
 //! A transfer is a value that takes the server's answers and gives the next request; it has no
-//! clock and no line, so whoever drives it decides how long to wait.
+//! clock and no line, so its caller decides how long to wait.
 
 use core::{error::Error, fmt};
 
@@ -135,7 +135,7 @@ impl Upload {
 
     /// Takes a frame from the bus. The bytes that it brings go into `bytes`. Gives the next request;
     /// `None`: all is there. A frame that is not an answer of an SDO server changes nothing, nor does,
-    /// before the start is answered, what somebody who was here before has asked for.
+    /// before the start is answered, an answer to a request of an earlier client.
     ///
     /// # Errors
     /// [`ClientError`]: the transfer is over.
@@ -193,7 +193,7 @@ impl Upload {
     }
 }
 
-/// What an answer has led to.
+/// Progress of a transfer by a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// It was not an answer.

@@ -224,7 +224,7 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
     }
 }
 
-/// What the bridge says of its calibration at this time.
+/// Lets the bridge report its calibration at this time.
 fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
     let status = Status { last_refused: Reason::None, item: Item::Calibration(crc) };
     hub.hear(ms(now), &Event::Frame(encode(&status, counter)));

@@ -7,7 +7,7 @@
 //!                    F0 set up: jobs, jobs, PDU length     04 read   05 write: one item, area DB
 //! ```
 //!
-//! A CPU answers within the timeout or the connection is given up: whoever calls makes a new one. An
+//! A CPU answers within the timeout or the connection is given up: the caller makes a new one. An
 //! answer is read to its length however the network cuts it, must bear the reference of its request,
 //! and is believed only as far as it reaches.
 
@@ -55,7 +55,7 @@ pub struct Place {
 /// Why a CPU does not do what it was asked for.
 #[derive(Debug)]
 pub enum Error {
-    /// The network: no such host, nobody listens, a line that is cut, no answer in time.
+    /// The network: no such host, no listener, a line that is cut, no answer in time.
     Io(io::Error),
     /// It answers, but what is none of the protocol's answers.
     Answer(&'static str),
@@ -63,7 +63,7 @@ pub enum Error {
     Refused(u8, u8),
     /// The data block is not there, too short, or closed to others; the item's code.
     Item(u8),
-    /// What was written is not what is read.
+    /// The bytes read back are not those written.
     NotKept,
 }
 
@@ -125,7 +125,7 @@ impl Client {
     /// Connects, and agrees on the length of a PDU.
     ///
     /// # Errors
-    /// Nobody is there, or it is no CPU, or not in this slot.
+    /// The CPU cannot be reached, or it is no CPU, or not in this slot.
     pub fn connect(place: &Place) -> Result<Self, Error> {
         let stream = connect(&place.address)?;
         stream.set_nodelay(true)?;

@@ -17,7 +17,7 @@ use trueup_core::{
     units::{MicroDegrees, NANOMETRES_PER_MICROMETRE, Position},
 };
 
-/// What the DBC must say of one frame: its name, sender, length, cycle, and signals with
+/// Expected entry of one frame in the DBC: its name, sender, length, cycle, and signals with
 /// their place, scale and unit.
 struct Expected {
     id: u16,

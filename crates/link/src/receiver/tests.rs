@@ -1,4 +1,4 @@
-//! What gets through, what is refused, and what is counted.
+//! Tests of frames that get through, that are refused, and of the counts.
 
 use super::*;
 use crate::{
@@ -15,7 +15,7 @@ use trueup_core::{
 
 const TURNING: Spindle = Spindle { speed: Rpm(18_000), load_n: 120 };
 const ENGAGED: Control = Control::ENGAGED;
-/// What a CNC sends.
+/// Identifiers that a CNC sends.
 const CNC: [u16; 7] =
     [POSITION_X_ID, POSITION_Y_ID, POSITION_Z_ID, ROTARY_ID, SPINDLE_ID, CONTROL_ID, CONDITIONS_ID];
 

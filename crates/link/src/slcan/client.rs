@@ -6,10 +6,10 @@ use crate::frame::Frame;
 /// The lines with which a client starts over with an adapter in any state: ends a line that was left over, closes, sets
 /// 1 Mbit/s, switches time stamps off, which an adapter keeps over a power cut, and opens.
 pub const OPEN: &[u8] = b"\rC\rS8\rZ0\rO\r";
-/// What a client sends to leave.
+/// Line that a client sends to leave.
 pub const CLOSE: &[u8] = b"C\r";
 
-/// What an adapter said.
+/// Message of an adapter.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Event {
     /// A frame from the bus.

@@ -29,7 +29,7 @@ const ANSWER_RESERVE: usize = 32;
 /// The version of hardware and software in the answer to a client, two digits each.
 const VERSION: &[u8] = b"V1013\r";
 
-/// What went wrong since the start. Each count stops at its largest value.
+/// Counts of errors since the start. Each stops at its largest value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PortCounters {
     /// Lines that were refused with a BELL.
@@ -68,7 +68,7 @@ pub struct Port {
 }
 
 impl Port {
-    /// Returns a closed port; `serial` is the number that it tells clients, as 4 hexadecimal digits.
+    /// Returns a closed port; `serial` is the number that it gives clients, as 4 hexadecimal digits.
     #[must_use]
     pub const fn new(serial: u16) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! Tool and conditions over the line: taken once whole and in order, and told of where they are lost.
+//! Tool and conditions over the line: taken once whole and in order, and reported where they are lost.
 
 use super::*;
 use trueup_core::{

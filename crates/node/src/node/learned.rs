@@ -1,10 +1,10 @@
-//! What was learned since the calibration was made: the one thing that may be changed while an offset is
+//! Changes learned since the calibration was made: the one thing that may be changed while an offset is
 //! followed.
 //!
-//! It comes in `Control`, and in nothing else. So who may say it is settled already: the CNC whose `Control` counts,
-//! on its own line, protected and in sequence ([`master`](super::master)); nobody by SDO, and no PLC, which
-//! loads a new calibration at rest. What is of another calibration or beyond the caps is not taken,
-//! and told until `Control` comes without any; the frame is a sign of life all the same. A zero is always right:
+//! They come in `Control`, and in nothing else. So who may send them is settled already: the CNC whose `Control`
+//! counts, on its own line, protected and in sequence ([`master`](super::master)); not SDO, and not a PLC, which
+//! loads a new calibration at rest. A change of another calibration or beyond the caps is not taken, and is
+//! reported until `Control` comes without any; the frame is a sign of life all the same. A zero is always right:
 //! of another calibration nothing is in force, because a new one begins with a start.
 
 use trueup_core::learned::{Change, named};

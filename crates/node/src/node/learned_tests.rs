@@ -1,4 +1,4 @@
-//! What was learned, as it comes over the line: who may say it, when, and how far it goes.
+//! Learned changes as they come over the line: who may send them, when, and how far they go.
 
 use super::*;
 use std::{vec, vec::Vec};

@@ -11,7 +11,8 @@
 //! repeated or out of sequence. A sound link has none of these and a CNC that restarts has one, so
 //! three within 2.4 s are a second master. Neither is believed then, as if both were silent. After the stranger's
 //! last frame the master is the sender whose next two counters follow on, with none out of sequence for a quarter of
-//! the link timeout: a sender that is there interrupts any other one sooner. Without such a sender the doubt ends after 2.4 to 3.2 s.
+//! the link timeout: a sender that is there interrupts any other one sooner. Without such a sender the doubt ends
+//! after 2.4 to 3.2 s.
 //!
 //! **Edges** of `Zero` and `Confirm` count once the bit was 0 after three accepted frames in a row and
 //! then 1 in three more: two masters that disagree on a bit make no edge of it, and neither does a
@@ -19,7 +20,7 @@
 //! reported.
 //!
 //! **Whether a CNC is there.** A tool says `Service` itself where no CNC sends. No operator at the machine has seen
-//! such a change, so the board has to tell the two apart ([`Master::is_cnc`]).
+//! such a change, so the board has to distinguish the two ([`Master::is_cnc`]).
 
 use trueup_canopen::dictionary::Authority;
 use trueup_core::cnc::Control;

@@ -1,4 +1,4 @@
-//! What the node does on a command of network management; which one it is,
+//! Effects of the commands of network management; which command it is,
 //! [`trueup_canopen::network`] says.
 
 use trueup_canopen::{heartbeat::Consumer, network::Command, sdo};

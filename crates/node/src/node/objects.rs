@@ -1,4 +1,4 @@
-//! What stands behind the object dictionary: the node's own values.
+//! The node's own values behind the object dictionary.
 
 use trueup_canopen::{
     dictionary::{BACK, Counter, DROP, ELONGATION_INPUT, FORGET, NOT_AVAILABLE, ObjectKind, Stop},

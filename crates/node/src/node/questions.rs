@@ -1,4 +1,4 @@
-//! What the operator is asked, and what is barred until it is answered.
+//! Questions to the operator, and the offsets that are barred until they are answered.
 
 use trueup_canopen::emergency::Fault;
 
@@ -44,8 +44,8 @@ impl Node<'_> {
         self.confirmed.take()
     }
 
-    /// What is barred is not available: until the engage sequence is complete, the questions are
-    /// answered, the constants are somebody's, and the board is not damaged.
+    /// Bars the offsets until the engage sequence is complete, the questions are answered, the constants are
+    /// not the example's, and the board is not damaged.
     pub(super) fn bar(&mut self) {
         let barred = !self.master.is_started()
             || QUESTIONS.into_iter().any(|question| self.questions.has(question))

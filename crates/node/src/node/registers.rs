@@ -10,7 +10,7 @@ use trueup_modbus::{
 
 use super::{Line, Node};
 
-/// What the registers remember.
+/// State of the exchange in registers.
 #[derive(Debug, Default)]
 pub(super) struct Registers {
     checker: Checker,
@@ -45,7 +45,7 @@ impl Node<'_> {
         self.registers.holding
     }
 
-    /// Takes a holding block from the RS-485 line. One that is refused has no effect; it is counted, and told
+    /// Takes a holding block from the RS-485 line. One that is refused has no effect; it is counted, and reported
     /// in the input block.
     ///
     /// # Errors

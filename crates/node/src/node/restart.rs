@@ -1,4 +1,4 @@
-//! What outlasts a reset, and time that samples do not count.
+//! The state that outlasts a reset, and time that samples do not count.
 
 use trueup_core::{dimensions::STEP_MS, units::Millis};
 use trueup_store::retained::Kept;

@@ -1,4 +1,4 @@
-//! What a restart keeps, what it does not, and time that samples do not count.
+//! Tests of the state that a restart keeps, and of time that samples do not count.
 
 use super::*;
 use crate::node::tests_calibration;

@@ -1,10 +1,11 @@
 //! The reference of the calibration: in force, or offered to the operator. And a calibration for the next start
 //! that is dropped again.
 //!
-//! A reference is offered where tools may have been touched off with another one since it was taken: its calibration
-//! was loaded again ([`trueup_store::reference`]), or it comes from a saved file. Until the operator confirms it, declines
-//! it ([`FORGET`](trueup_canopen::dictionary::FORGET)) or sets `Zero`, none is in force, and nothing is available. A
-//! reference is never larger than a correction may be ([`trueup_core::bridge::Bridge::permits`]), wherever it comes from.
+//! A reference is offered where tools may have been touched off with another one since it was taken: its
+//! calibration was loaded again ([`trueup_store::reference`]), or it comes from a saved file. Until the operator
+//! confirms it, declines it ([`FORGET`](trueup_canopen::dictionary::FORGET)) or sets `Zero`, none is in force, and
+//! nothing is available. A reference is never larger than a correction may be
+//! ([`trueup_core::bridge::Bridge::permits`]), wherever it comes from.
 
 use trueup_canopen::{emergency::Fault, sdo::Abort};
 use trueup_core::{
@@ -18,7 +19,7 @@ use trueup_store::{
 
 use super::{Line, Node};
 
-/// What came of a `Zero`.
+/// Result of a `Zero`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Zero {
     /// The reference is another one now.

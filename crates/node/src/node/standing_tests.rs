@@ -179,7 +179,7 @@ fn a_reference_beyond_its_limit_is_taken_by_nobody() {
     assert_eq!((node.take_zero(), node.reference()), (Some(Zero::Unchanged), Reference::default()));
 }
 
-/// Loads another calibration over the serial line; the write that tells of it.
+/// Loads another calibration over the serial line, and returns the write that is logged.
 fn load(node: &mut Node<'_>) -> Write {
     let mut calibration = tests_calibration();
     calibration.limits.hold_ms = 77;

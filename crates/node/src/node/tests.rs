@@ -1,4 +1,4 @@
-//! What a CANopen master has of a node: its heartbeat, emergencies, objects, and a calibration.
+//! Tests of a node as a CANopen master sees it: its heartbeat, emergencies, objects, and a calibration.
 
 use super::*;
 use crate::start::{Start, Stop};
@@ -19,7 +19,7 @@ fn blob() -> Vec<u8> {
 }
 
 std::thread_local! {
-    /// The counter of the `Control` with which the operator allows to write; `None`: nobody does.
+    /// The counter of the `Control` with which the operator allows to write; `None`: writing is not allowed.
     static SERVICE: core::cell::Cell<Option<u8>> = const { core::cell::Cell::new(None) };
 }
 

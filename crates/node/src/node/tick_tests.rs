@@ -1,4 +1,4 @@
-//! What a CNC has of a node: offsets, and what becomes of its commands.
+//! Tests of a node as a CNC sees it: offsets, and the effects of its commands.
 
 use super::*;
 use std::{vec, vec::Vec};
@@ -137,7 +137,7 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
     }
 }
 
-/// What a board does with such a history of `Control`, each 20 ms after the one before.
+/// Gives a board such a history of `Control`, each 20 ms after the one before.
 fn after(controls: impl IntoIterator<Item = (Line, Control)>, node: &mut Node<'_>) {
     let mut counters = [3_u8; 2];
     for (line, control) in controls {

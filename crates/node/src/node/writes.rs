@@ -1,4 +1,4 @@
-//! Who writes to the board: each write is noted with its time and line, for the board to store, and told by
+//! Who writes to the board: each write is noted with its time and line, for the board to store, and reported by
 //! object 0x2110. And whether the calibration is of this machine and this board.
 
 use heapless::Deque;
@@ -47,7 +47,7 @@ impl Log {
 }
 
 impl Node<'_> {
-    /// Tells the writes that the board has stored before the start.
+    /// Sets the writes that the board has stored before the start.
     pub fn set_writes(&mut self, writes: Writes) {
         self.log.last = writes;
     }
@@ -57,7 +57,7 @@ impl Node<'_> {
         self.log.waiting.pop_front()
     }
 
-    /// Tells a write as it is `stored`, with its number; `None`: it is not.
+    /// Logs a write as it is `stored`, with its number; `None`: it is not.
     pub fn end_write(&mut self, write: &Write, stored: Option<Write>) {
         if stored.is_none() {
             self.note(Fault::Store);
@@ -92,7 +92,7 @@ impl Node<'_> {
         self.bridge.as_ref().map(|it| it.calibration().names).unwrap_or_default()
     }
 
-    /// Seconds since 1970; 0: nobody has told the time.
+    /// Seconds since 1970; 0: the time was never set.
     pub(super) fn utc_s(&self) -> u32 {
         let Some((utc_s, at)) = self.log.utc else { return 0 };
         utc_s.saturating_add(self.now.since(at) / 1_000)
@@ -102,8 +102,8 @@ impl Node<'_> {
         self.log.utc = (utc_s > 0).then_some((utc_s, self.now));
     }
 
-    /// A calibration is stored for the next start. One that replaces somebody's while no CNC is received asks the
-    /// operator then; the example's constants are nobody's.
+    /// A calibration is stored for the next start. If it replaces one other than the example's while no CNC is
+    /// received, the operator is asked then.
     pub(super) fn log_load(&mut self, crc: u32) {
         let running = self.running_crc();
         let replaces = running != 0 && running != crc && !self.is_example();

@@ -1,4 +1,4 @@
-//! What is drawn: frames as often as the wire has them, each fault in its phase alone, and the checksum of it.
+//! Tests of the inputs: frames as often as the wire has them, each fault in its phase alone, and their checksum.
 
 use super::*;
 use crate::node::tests_calibration;

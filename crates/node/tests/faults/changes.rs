@@ -107,11 +107,11 @@ const CAUSES: [Option<(Part, Kind)>; 5] = [
     Some((Part::Sensor, Kind::Stuck)),
     Some((Part::Blocks, Kind::Off)),
 ];
-/// What is asked of an offset is its mean over so long: its noise is the sensor's, and no step.
+/// Milliseconds over which an offset is averaged: its noise is the sensor's, and no step.
 const MEAN_MS: usize = 100;
 /// A fault is found within so long; what it does meanwhile is in the matrix.
 const FOUND_MS: u32 = 450;
-/// From one fault to the next, and before a fault: what two do at once no source can tell.
+/// From one fault to the next, and before a fault: no source can separate two that come at once.
 const APART_MS: u32 = 1_200;
 /// Changes after each time of warming up or cooling down.
 const CHANGES_A_TIME: u32 = 24;

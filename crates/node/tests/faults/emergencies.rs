@@ -22,7 +22,7 @@ fn number(rig: &Rig, what: ObjectKind) -> u32 {
     }
 }
 
-/// Returns whether anything that the objects tell has changed.
+/// Returns the bits of faults and state in the objects.
 fn bits(rig: &Rig) -> [u32; 3] {
     [ObjectKind::AllFaults, ObjectKind::HighFaults, ObjectKind::StateBits].map(|it| number(rig, it))
 }
@@ -118,7 +118,7 @@ fn channel_of(fault: Fault) -> Option<(usize, Kind)> {
         .or(of(Fault::TEMPERATURE_RATES).map(|channel| (channel, Kind::Bias)))
 }
 
-/// Milliseconds from the moment at which the objects tell of a fault to its emergency.
+/// Milliseconds from the moment at which the objects report a fault to its emergency.
 fn told_after(fault: Fault) -> u32 {
     let mut rig = match fault {
         // Both are sent elsewhere at once.

@@ -16,7 +16,7 @@ const BYTES_PER_MS: usize = 92;
 /// As many frames of 8 bytes as 1 Mbit/s bring in a millisecond, without stuffing.
 const FRAMES_PER_MS: usize = 9;
 
-/// What comes over the flooded wire: noise, and whole frames of anybody.
+/// The flood on the wire: noise, and whole frames of any sender.
 #[derive(Clone, Copy, Debug)]
 enum Flood {
     Bytes,

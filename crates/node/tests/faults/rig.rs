@@ -26,14 +26,14 @@ use crate::spindle_model::{KnownSpindle, law};
 /// A code is this many nanometres of growth; the sensor reads this many codes without any.
 const NM_PER_CODE: f64 = 122.0;
 const ZERO_CODE: f64 = 600.0;
-/// The growth of the spindle and its time constant: after 5 minutes it cools by 12 nm/s, as fast as the paper's spindle warms
-/// on the average (80 µm in two hours).
+/// The growth of the spindle and its time constant: after 5 minutes it cools by 12 nm/s, as fast as the paper's spindle
+/// warms on the average (80 µm in two hours).
 const GROWTH_NM: f64 = 40_000.0;
 const TAU_S: f64 = 900.0;
 /// The spindle's thermometer, and that of X.
 pub const SPINDLE_CHANNEL: usize = 2;
 pub const AXIS_CHANNEL: usize = 4;
-/// What a thermometer delivers: a nanometre of growth is four of these.
+/// Raw units of a thermometer per kelvin: a nanometre of growth is about one for the spindle, two for the axis.
 const RAW_PER_K: f64 = 4_096.0;
 const SPINDLE_NM_PER_K: f64 = 4_000.0;
 const AXIS_NM_PER_K: f64 = 2_000.0;
@@ -102,7 +102,7 @@ pub fn calibration() -> Calibration<'static> {
     }
 }
 
-/// What may fail.
+/// Part that may fail.
 #[rustfmt::skip]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part { Sensor, SpindleThermometer, AxisThermometer, Position, Control, Speed, Blocks }
@@ -179,7 +179,7 @@ impl Number {
 pub struct Rig {
     pub node: Node<'static>,
     pub ms: u32,
-    /// What fails, how, and since when.
+    /// The part that fails, how, and since when.
     pub fault: Option<(Part, Kind, u32)>,
     pub engage: bool,
     /// The sensor's cable is off too: the bridge runs on its fall-back.
@@ -465,7 +465,7 @@ impl Rig {
         Self { line, ..Self::new(seed) }.into_engaged()
     }
 
-    /// Returns the same, with this as the largest offset of X, whose rapid traverse nobody has stated.
+    /// Returns the same, with this as the largest offset of X, whose rapid traverse is not stated.
     pub fn engaged_within(x_nm: i32, seed: u64) -> Self {
         let mut narrow = calibration();
         narrow.limits.max[0] = Nanometres(x_nm);

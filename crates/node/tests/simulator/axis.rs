@@ -20,7 +20,7 @@ const KNOTS: usize = 6;
 /// 6 m/min in 10 nm a millisecond, its rapid traverse.
 pub const SPEED: i32 = 10_000;
 
-/// What the screw does at the knots, in nm: one table for each calibration that is loaded.
+/// Errors of the screw at the knots, in nm: one table for each calibration that is loaded.
 const TABLES_NM: [[i32; KNOTS]; 2] =
     [[0, 4_000, -6_000, 9_000, 1_000, -3_000], [0, -2_000, 8_000, -9_000, 500, 0]];
 
@@ -37,7 +37,7 @@ pub struct Axis {
     at: i32,
     velocity: i32,
     counter: u8,
-    /// What the bridge has received last.
+    /// The position that the bridge has received last.
     pub heard: Option<i32>,
     /// How long ago, in milliseconds.
     pub heard_ms: u32,

@@ -1,4 +1,4 @@
-//! Blobs that somebody has made to do harm: any bytes at all with a CRC that is right. They are refused
+//! Blobs that are made to do harm: any bytes at all with a CRC that is right. They are refused
 //! with the reason, or what they make the bridge do stays within the caps of the firmware.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 

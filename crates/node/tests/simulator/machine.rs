@@ -21,7 +21,7 @@ use crate::{
 /// The largest offset on an axis, nm, and the slew limit, nm in a millisecond.
 pub const MAX_NM: i32 = 15_000;
 pub const SLEW_NM_PER_MS: i32 = 200;
-/// What a wire bit may add to a step.
+/// Nanometres that a wire bit may add to a step.
 pub const WIRE_NM: i32 = 10;
 /// A code is this many nanometres of growth.
 pub const NM_PER_CODE: f64 = 122.0;

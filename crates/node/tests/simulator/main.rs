@@ -1,5 +1,5 @@
 //! A simulator by seed: node, wire, RAM that outlasts a reset, clock, spindle, thermometers, a CNC and
-//! restarts. What must hold is looked at in every tick; a failure prints the seed that repeats it to
+//! restarts. Every tick is checked against its conditions; a failure prints the seed that repeats it to
 //! the bit.
 //!
 //! `cargo test -p trueup-node --test simulator` runs a million ticks, the long test ten million,

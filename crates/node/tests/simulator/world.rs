@@ -29,7 +29,7 @@ use crate::machine::{
     Cnc, GrowingSpindle, NM_PER_CODE, SLEW_NM_PER_MS, WIRE_NM, ZERO_CODE, calibration,
 };
 
-/// What is wrong, for a while.
+/// A fault that lasts for a while.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     None,
@@ -71,7 +71,7 @@ const FAULTS: [Fault; 17] = [
     Fault::OtherLine,
 ];
 
-/// What was seen, so that a run can be judged by what it has been through.
+/// Record of a run, so that it can be judged by what it has been through.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Seen {
     pub ticks: u64,
@@ -88,7 +88,7 @@ pub struct Seen {
     pub checksum: u64,
 }
 
-/// What `Zero` has taken last, as the machine was.
+/// The reference that `Zero` has taken last, as the machine was.
 #[derive(Clone, Copy, Debug)]
 struct Zeroed {
     reference: Reference,
@@ -106,13 +106,13 @@ pub struct World {
     axis: Axis,
     /// Which table is loaded.
     table: usize,
-    /// What `Zero` has taken with each.
+    /// The last `Zero` with each.
     zeroed: [Zeroed; 2],
     /// Since a block of samples, a set of temperatures, a `Control` that was believed, in ms.
     block_ms: u32,
     temperatures_ms: u32,
     control_ms: u32,
-    /// Milliseconds without a block that the node was not told of yet: its clock is this much behind.
+    /// Milliseconds without a block that the node was not given yet: its clock is this much behind.
     untold_ms: u32,
     cnc: Cnc,
     fault: Fault,
@@ -255,7 +255,7 @@ impl World {
         format!("seed {}, tick {}, {:?}", self.seed, self.seen.ticks, self.fault)
     }
 
-    /// What the CNC and strangers send in this millisecond.
+    /// Sends the frames of the CNC and of strangers in this millisecond.
     fn speak(&mut self) {
         if self.fault == Fault::CncSilent {
             return;
@@ -299,7 +299,7 @@ impl World {
         self.note_zero(before);
     }
 
-    /// Follows the engage sequence, whoever sends it: a stranger on the same line cannot be distinguished from the
+    /// Follows the engage sequence of any sender: a stranger on the same line cannot be distinguished from the
     /// CNC by one frame.
     fn note_control(&mut self, heard: &Result<Option<Command>, Refused>, engage: bool) {
         match heard {

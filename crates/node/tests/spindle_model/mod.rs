@@ -9,7 +9,7 @@ use trueup_core::{
     warmup::Warmup,
 };
 
-/// What is known of it: the sensor first, then a thermometer, then its running time.
+/// Its parameters: the sensor first, then a thermometer, then its running time.
 pub struct KnownSpindle {
     /// The sensor reads this many codes without growth, and one more for this many nanometres.
     pub zero_code: f64,

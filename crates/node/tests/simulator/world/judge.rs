@@ -1,4 +1,4 @@
-//! What must hold in every tick, whatever fails: limits, no step, quality and age that are true, and
+//! Conditions that hold in every tick, whatever fails: limits, no step, quality and age that are true, and
 //! the offset that the machine needs.
 
 use trueup_core::cnc::{Output, Quality};
@@ -7,7 +7,7 @@ use super::{Fault, World};
 use crate::machine::{MAX_NM, SLEW_NM_PER_MS};
 
 impl World {
-    /// What must hold in every tick, whatever happens.
+    /// Checks the conditions of every tick, whatever happens.
     pub(super) fn judge(&mut self, elapsed_ms: u32, output: &Output) {
         let place = || {
             format!("seed {}, tick {}, {:?}: {output:?}", self.seed, self.seen.ticks, self.fault)
