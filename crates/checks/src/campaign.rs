@@ -1,4 +1,4 @@
-//! What nobody waits for: the soak, the fuzzing, the mutants. A command each, niced by whoever likes;
+//! Long campaigns that no tier runs: the soak, the fuzzing, the mutants. A command each, to be niced if you like;
 //! `docs/robustness.md` has what they have printed.
 
 use std::{fmt::Write as _, fs, path::Path, process::Command};
@@ -58,8 +58,8 @@ pub fn soak(ticks: u64, seed: u32) -> Result<()> {
     process::run(&mut programs)
 }
 
-/// Draws this many circles with faults, and a third as many sound ones, and counts how often `fit circle` names all faults and
-/// nothing else.
+/// Draws this many circles with faults, and a third as many sound ones, and counts how often `fit circle` names all
+/// faults and nothing else.
 ///
 /// # Errors
 /// It does not build, fewer than 95 of 100 are wholly named, or a sound one has a name.
@@ -108,8 +108,8 @@ pub fn fuzz(minutes: u64) -> Result<()> {
 /// Draws mutants of the crates that a board runs, and counts how many their own tests catch: the unit tests of
 /// the crate first, which take seconds, and what those miss goes through all tests of the four crates. Built and
 /// tested in a copy of the source; `target/mutants` has the lists. Stopped and called again it goes on where it was: a
-/// mutant that has been tried, by its place and what it changes, is not tried again, though there be new tests: whoever
-/// has written some begins anew, without `target/mutants`.
+/// mutant that has been tried, by its place and what it changes, is not tried again, not even after new tests: if you
+/// have written some, delete `target/mutants` and begin anew.
 ///
 /// # Errors
 /// cargo-mutants cannot be had, or the tests fail without a mutant. A mutant that is missed is no error.
@@ -145,7 +145,7 @@ pub fn mutants(draw: usize, seed: u64) -> Result<()> {
     Ok(())
 }
 
-/// What became of some mutants, by their names; `missed` has those that nothing caught.
+/// Outcomes of some mutants, by their names; `missed` has those that nothing caught.
 #[derive(Default)]
 struct Outcome {
     caught: Vec<String>,

@@ -2,7 +2,7 @@
 //! and used there, because a tool that runs where it was built proves nothing.
 //!
 //! It has the tool, which carries firmware, examples and the controls' files in itself, its manual's
-//! pages and what shells complete it with. What goes where stands in the tool's own manifest.
+//! pages and what shells complete it with. The tool's own manifest says which file goes where.
 
 use std::{
     fs,
@@ -39,7 +39,7 @@ pub fn package() -> Result<PathBuf> {
     newest.context("cargo-deb has left no package")
 }
 
-/// What is done in the empty root, by a shell that stops at the first failure.
+/// The commands that are run in the empty root, by a shell that stops at the first failure.
 const TRIAL: &str = "\
 set -e
 apt-get install -y --no-install-recommends /trueup.deb

@@ -1,5 +1,4 @@
-//! What keeps the project in order: its tests in tiers, the structure of its source, what it is built
-//! from.
+//! Checks of the project: its tests in tiers, the structure of its source, what it is built from.
 //!
 //! ```text
 //!  verify ─► structure, supply_chain, test_run ─► tally

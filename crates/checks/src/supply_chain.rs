@@ -1,4 +1,4 @@
-//! What the project is built from: the compiler, and other people's crates.
+//! Checks of what the project is built from: the compiler, and other people's crates.
 
 use std::{path::PathBuf, process::Command};
 
@@ -66,7 +66,7 @@ pub fn crates() -> Result<Tally> {
 
 const NOT_HAD: &str = "their database cannot be had here";
 
-/// What the advisories of the Rust project say of the crates in the lock file.
+/// Known vulnerabilities of the crates in the lock file, by the advisories of the Rust project (RustSec).
 enum Advisories {
     /// Nothing is known; what was said.
     None(String),

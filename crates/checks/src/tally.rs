@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-/// What came of tests.
+/// Counts of test results.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Tests and steps that passed.

@@ -4,7 +4,7 @@
 //! compiled for a second tier. A program runs its tests one after the other: so the time between two
 //! results is that of the second test.
 //!
-//! What a program says, figures of tests that pass included, goes into a file of its own in
+//! The output of a program, figures of tests that pass included, goes into a file of its own in
 //! `target/verify`. Here stands a line for each program, and whole what the tests said that failed.
 
 use std::{
@@ -22,7 +22,7 @@ use trueup_emulator::{process, setup};
 
 use crate::{cargo, tally::Tally};
 
-/// What chooses the programs: everything of the default members, emulated board included.
+/// Cargo's arguments that choose the programs: everything of the default members, emulated board included.
 const SELECTION: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
 /// How many run at a time.
 const AT_A_TIME: usize = 2;
@@ -66,7 +66,8 @@ pub fn build() -> Result<Vec<Program>> {
     Ok(programs)
 }
 
-/// Builds the tool as tests do that start it: all of it is there already, or a crate of others has other features there.
+/// Builds the tool as tests do that start it: all of it is there already, or a crate of others has other features
+/// there.
 fn check_shared() -> Result<()> {
     let mut command = cargo::locked("build");
     command.args(["--bin", "trueup", "--message-format", "json"]).args(SELECTION);

@@ -26,12 +26,12 @@ use crate::{
     test_run::{self, Program},
 };
 
-/// What is to be run.
+/// The tier to run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tier {
     /// All tests that take at most ten seconds each: `cargo verify`.
     Quick,
-    /// What the quick tier leaves out: `--long`.
+    /// The tests that the quick tier leaves out: `--long`.
     Long,
     /// Both tiers: `--all`.
     All,
@@ -44,7 +44,7 @@ const LINUXCNC_RUNS: u32 = 3;
 /// How many of the longest are printed.
 const LONGEST: usize = 10;
 
-/// What has been run so far.
+/// The steps that were run so far, and their results.
 #[derive(Default)]
 struct Verification {
     total: Tally,

@@ -164,7 +164,7 @@ impl VirtualBoard {
         Ok(())
     }
 
-    /// Returns the CNC's end of the serial line, as QEMU has it: whoever takes it must read on, because
+    /// Returns the CNC's end of the serial line, as QEMU has it: the caller must read on, because
     /// QEMU stops when a few hundred bytes wait there.
     ///
     /// # Errors

@@ -40,7 +40,7 @@ struct Branches {
     traps: bool,
 }
 
-/// What can be reached from a function, itself included, by the names of the linker.
+/// Functions that can be reached from one, itself included, by the names of the linker.
 #[derive(Default, Debug)]
 pub struct Reached {
     /// All of them.
@@ -139,7 +139,7 @@ impl CallGraph {
     }
 }
 
-/// What a function and those that it calls take of the stack.
+/// The stack that a function takes, with those that it calls.
 #[derive(Clone, Debug, Default)]
 pub struct Depth {
     /// Bytes of the deepest chain of calls.

@@ -58,16 +58,16 @@ pub fn build() -> Result<Option<PathBuf>> {
     Ok(Some(target().join("debug/trueup-chip")))
 }
 
-/// What a run of the model came to.
+/// The result of a run of the model.
 #[derive(Clone, Debug)]
 pub struct Report {
     /// Whether nothing was done that silicon would not do.
     pub clean: bool,
-    /// What the model printed: what the wires said, and its report.
+    /// The model's standard output: the traffic on the wires, and its report.
     pub said: String,
     /// The image's log, decoded.
     pub log: Vec<String>,
-    /// What the board said on its wires and when it was reset, a line an event: the time in ms, then
+    /// The board's traffic on its wires and its resets, a line an event: the time in ms, then
     /// `can ID HEX`, `serial LINE` or `reset WHY`.
     pub events: Vec<String>,
 }

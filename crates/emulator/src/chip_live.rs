@@ -15,7 +15,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 
 use crate::log::Decoder;
 
-/// Nobody but the client of the serial line speaks for the CNC.
+/// Lines that silence the model's own CNC: only the client of the serial line speaks for one.
 const NO_CNC: &str = "0 control 0\n0 spindle 0\n0 positions 0\n";
 
 /// A board that lives while it is let.

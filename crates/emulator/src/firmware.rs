@@ -133,7 +133,7 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
     build_as(Board::Stm32f405, "stm32f405", &name, Linked::File(machine))
 }
 
-/// Builds the same with the feature `faults`: it breaks when it is told to, and is never for a machine.
+/// Builds the same with the feature `faults`: it breaks on command, and is never for a machine.
 ///
 /// # Errors
 /// As [`build_for`].

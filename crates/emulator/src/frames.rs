@@ -1,10 +1,10 @@
-//! What a function of an image takes of the stack, and which addresses of functions it holds: read from its
+//! The stack that a function of an image takes, and the addresses of functions that it holds: read from its
 //! instructions (Armv7-M architecture manual, A7.7).
 //!
 //! Every instruction that moves the stack pointer down counts, wherever in the function it stands: one that has
 //! two ways in counts both, so the sum is never too small.
 
-/// What its instructions say.
+/// Stack and pointers of a function, as its instructions say.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Frame {
     /// Bytes of the stack.

@@ -31,7 +31,7 @@ const COMES_UP_MS: u32 = 300;
 const CONFIRM_MS: u32 = 400;
 const PRESSED_MS: u32 = 200;
 
-/// What has been typed.
+/// The state that the typed commands have set.
 #[derive(Clone, Debug, Default)]
 pub struct Hand {
     control: Arc<Mutex<Option<Control>>>,

@@ -5,7 +5,7 @@ use std::{fs, path::Path};
 use anyhow::{Context as _, Result, anyhow};
 use defmt_decoder::{DecodeError, Table};
 
-/// What is needed to read the log of one image.
+/// A decoder for the log of one image.
 pub struct Decoder {
     table: Table,
 }

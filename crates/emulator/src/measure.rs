@@ -28,7 +28,7 @@ pub const VECTORS: u32 = 1_000_000;
 /// Longer than the slowest machine needs for [`VECTORS`].
 const TIMEOUT: Duration = Duration::from_secs(1_200);
 
-/// What was measured, in the form of `measure.json`.
+/// The measured figures, in the form of `measure.json` and as a table.
 pub struct Measured {
     /// The figures of `measure.json`.
     pub json: Value,
@@ -184,7 +184,8 @@ fn number(numbers: &Numbers, name: &str, place: usize) -> Result<u64> {
     values.get(place).copied().with_context(|| format!("the board says too little of {name}"))
 }
 
-/// Four terms for the gantry: the growth of 32 tools, a condition, one behind a lag, and one that is a factor on the growth.
+/// Four terms for the gantry: the growth of 32 tools, a condition, one behind a lag, and one that is a factor on the
+/// growth.
 fn by_tool() -> String {
     let mut text = String::from(
         "\n[inputs.coolant_on]\nkind = \"condition\"\nbit = 0\n[inputs.door_open]\nkind = \"condition\"\nbit = 9\n\

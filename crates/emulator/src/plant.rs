@@ -32,7 +32,7 @@ pub struct Step {
     pub spindle_rpm: Option<f64>,
 }
 
-/// What the board says to it.
+/// The board's answer to the plant.
 #[derive(Debug, Default, Serialize)]
 pub struct Answer {
     /// Offsets on X, Y and Z; `null` where they are not available.
@@ -50,11 +50,11 @@ pub struct Plant {
     peer: String,
     last_s: Option<f64>,
     temperatures: BTreeMap<String, TemperatureInput>,
-    /// What the board last said; a step too short for a new word repeats it.
+    /// The board's last answer; a step too short for a new word repeats it.
     pub last_answer: Answer,
 }
 
-/// A step has a few numbers; what is longer has no end.
+/// A step has a few numbers; a longer line has no end.
 const MOST_BYTES: u64 = 1 << 16;
 /// How often a plant that thinks is looked after.
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -64,7 +64,7 @@ impl Plant {
     /// under which the plant states them.
     ///
     /// # Errors
-    /// Nobody listens there.
+    /// No plant listens there.
     pub fn connect(
         address: &str,
         temperatures: BTreeMap<String, TemperatureInput>,

@@ -1,4 +1,4 @@
-//! Running other programs: told before, and with what they said when they fail.
+//! Runs other programs; an error names the command line, with the program's error output if it was not shown.
 
 use std::{
     path::PathBuf,
@@ -7,8 +7,8 @@ use std::{
 
 use anyhow::{Context as _, Result, bail};
 
-/// Returns the cargo that started this program, without what it has set for this program alone. A build script that reads
-/// such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
+/// Returns the cargo that started this program, without what it has set for this program alone. A build script that
+/// reads such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
 #[must_use]
 pub fn cargo() -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()));

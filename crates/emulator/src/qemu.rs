@@ -18,7 +18,7 @@ use crate::{process, setup};
 /// How long QEMU may take to open its sockets, and the board to say that it is up.
 pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// What the kernel takes for the name of a socket.
+/// The longest path that the kernel takes for a socket, in bytes.
 const LONGEST_SOCKET_PATH: usize = 107;
 
 /// A folder that is removed with the last emulator in it.

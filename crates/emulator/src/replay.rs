@@ -33,14 +33,14 @@ const DIRECTIONS: [&str; 3] = ["dir_x", "dir_y", "dir_z"];
 /// The largest angle that the wire carries, either way.
 const LARGEST_ANGLE_DEG: f64 = 262.143;
 
-/// What the machine does at a moment.
+/// The state of the machine at a moment.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Situation {
     /// The displacement sensor's output.
     pub sensor_volts: f64,
     /// The spindle's speed, where it is known.
     pub speed: Option<Rpm>,
-    /// What the temperature channels deliver.
+    /// The deliveries of the temperature channels.
     pub temperatures: RawTemperatures,
     /// Where X, Y and Z are sent, as far as the run says.
     pub positions: [Option<AxisPosition>; 3],
@@ -48,7 +48,7 @@ pub struct Situation {
     pub rotary: Option<Rotary>,
     /// The tool and the conditions, if the run says one of them.
     pub conditions: Option<Conditions>,
-    /// What the CNC says, where it is not a client of the serial line.
+    /// The CNC's control message, where the CNC is not a client of the serial line.
     pub control: Option<Control>,
 }
 
@@ -158,8 +158,8 @@ impl Replay {
         now
     }
 
-    /// Returns the growth at the tool at a time in seconds from the start, in µm: the newest value of the run, 0 before the
-    /// first one; `None` if the run does not state it.
+    /// Returns the growth at the tool at a time in seconds from the start, in µm: the newest value of the run, 0 before
+    /// the first one; `None` if the run does not state it.
     #[must_use]
     pub fn growth_um(&self, time_s: f64) -> Option<f64> {
         let next = self.from_s.partition_point(|&from| from <= time_s);
@@ -242,7 +242,7 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// What a row changes.
+    /// Applies the changes of a row.
     fn take(&mut self, row: usize, now: &mut Situation) -> Result<(), BadInput> {
         for (column, input) in &self.temperatures {
             if !column[row].is_nan() {
@@ -352,7 +352,7 @@ pub fn raw_temperatures(
     delivered
 }
 
-/// Returns what a channel delivers at a temperature in °C, at the resolution of the board's input. What is
+/// Returns what a channel delivers at a temperature in °C, at the resolution of the board's input. A value
 /// beyond its integer delivers the end of it, which no channel takes for a temperature.
 #[must_use]
 #[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]

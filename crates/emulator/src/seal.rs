@@ -12,7 +12,7 @@ use crate::binary;
 const CHECK: &str = "TRUEUP_IMAGE_CHECK";
 const CHECK_SIZE: usize = 8;
 
-/// Writes the length and the CRC of an image into it. Whoever changes its bytes afterwards calls it again.
+/// Writes the length and the CRC of an image into it. If its bytes are changed afterwards, call it again.
 ///
 /// # Errors
 /// The image cannot be read or written, or has no place for them.

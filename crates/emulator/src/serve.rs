@@ -38,7 +38,7 @@ use crate::{
     stand_in::{ReceivedFrames, StandIn},
 };
 
-/// What makes the machine's time pass.
+/// The source of the machine's samples and time.
 pub enum SampleSource {
     /// A run file, at a multiple of real time, or as fast as it goes.
     Run {
@@ -91,8 +91,8 @@ pub fn serve(
     if stop.load(Ordering::Relaxed) { Ok(()) } else { result }
 }
 
-/// A client that does not read stops QEMU, and with it whoever waits for the board. So when this is
-/// to end and does not, QEMU is ended under it.
+/// Ends QEMU if serving has not ended a second after `stop`: a client that does not read stops QEMU, and with it
+/// every thread that waits for the board.
 fn end_with(stop: Arc<AtomicBool>, qemu: u32) {
     const GRACE: Duration = Duration::from_secs(1);
     thread::spawn(move || {

@@ -1,4 +1,4 @@
-//! What a fresh machine lacks: the compiler's target, QEMU, the Python clients.
+//! Installs what a fresh machine lacks: the compiler's target, QEMU, the Python clients.
 //!
 //! Nothing is installed in silence: a line says what is about to be, and where this may not be
 //! done, the error has the exact line to type.
@@ -23,7 +23,7 @@ pub const QEMU: &str = "qemu-system-arm";
 /// The oldest QEMU that has what the board needs.
 const OLDEST_QEMU: (u32, u32) = (7, 2);
 
-/// What compiles the firmware.
+/// The compiler of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Toolchain {
     /// The compiler that runs this, with the target added by rustup.
@@ -202,7 +202,7 @@ pub fn python() -> Result<PathBuf> {
     Ok(python)
 }
 
-/// LinuxCNC, and nobody else's until this is dropped: all instances on a computer share one key of
+/// LinuxCNC, locked against other users until this is dropped: all instances on a computer share one key of
 /// shared memory, so only one can run.
 #[derive(Debug)]
 pub struct LinuxCnc {
@@ -250,7 +250,7 @@ pub fn linuxcnc() -> Result<Option<LinuxCnc>> {
 /// Makes sure that a component of LinuxCNC can be compiled here.
 ///
 /// # Errors
-/// What is missing cannot be installed.
+/// Something is missing and cannot be installed.
 pub fn linuxcnc_dev() -> Result<()> {
     const PACKAGE: &str = "linuxcnc-uspace-dev";
     let _alone = alone()?;
@@ -316,7 +316,7 @@ pub fn mosquitto() -> Result<PathBuf> {
     place().context("mosquitto is installed but not on PATH")
 }
 
-/// What the quick tests need: all but LinuxCNC, which is large.
+/// Makes sure of what the quick tests need: all but LinuxCNC, which is large.
 ///
 /// # Errors
 /// Something is missing and cannot be had here.

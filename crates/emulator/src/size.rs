@@ -7,7 +7,7 @@ use object::{Object as _, ObjectSection as _, ObjectSegment as _, SectionFlags, 
 
 use crate::firmware::{self, Board};
 
-/// What an image takes of the chip, in bytes.
+/// Memory of the chip that an image takes, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Size {
     /// Code, constants, and the start values of variables.

@@ -19,7 +19,7 @@ use crate::{
     serve::{self, AtMachine, SampleSource},
 };
 
-/// What is asked for next to the machine: the options that both commands have.
+/// Options that both commands have next to the machine file.
 #[derive(Args)]
 pub struct Options {
     /// Where the bridge listens for the CNC (SLCAN); port 0 is any free one.
@@ -62,7 +62,8 @@ fn speed(text: &str) -> Result<Speed, String> {
 /// asked for last, because it may have to be built.
 ///
 /// # Errors
-/// The machine file or the run cannot be used, the port is in use, nobody plays, or QEMU ends.
+/// The machine file or the run cannot be used, the port is in use, no run or plant is given, the plant does not listen,
+/// or QEMU ends.
 pub fn run(
     machine: &Machine,
     options: &Options,

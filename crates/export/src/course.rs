@@ -21,7 +21,7 @@ const PARTS_OF_PERIOD: f64 = 32.0;
 /// And a travel in at most this many.
 const MOST_PARTS: f64 = 20_000.0;
 
-/// What one drive corrects along its axis.
+/// The errors that one drive corrects along its axis.
 #[derive(Clone)]
 pub(crate) struct Drive<'m> {
     pub axis: LinearAxis,

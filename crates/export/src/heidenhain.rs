@@ -99,7 +99,7 @@ impl Compensation {
     }
 }
 
-/// What one axis that moves has in its table.
+/// One moving axis, with the drive errors and cross errors in its table.
 struct Moving<'m> {
     /// `X`, or `X2` for a second drive.
     key: String,

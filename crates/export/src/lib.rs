@@ -1,8 +1,8 @@
 //! From a machine file to what other CNCs read, and back.
 //!
 //! A machine file holds **errors** (actual minus commanded); a control adds a **correction**, the
-//! opposite. Each format has its own sign for it, its own grid, rounding and limits. What is
-//! written is read back by a reader of its own, evaluated as that control would, and compared with
+//! opposite. Each format has its own sign for it, its own grid, rounding and limits. The
+//! files are read back by a reader of their own, evaluated as that control would, and compared with
 //! the model at thousands of positions in both directions; the largest difference stands in the
 //! report.
 //!
@@ -21,7 +21,7 @@
 //! table, periodic, backlash), across one, and the constants that they correct. Those that change
 //! while the machine runs are left out.
 //!
-//! What a control cannot hold is left out with the reason, or thinned to its limit with the loss
+//! A part that a control cannot hold is left out with the reason, or thinned to its limit with the loss
 //! stated: never in silence.
 #![forbid(unsafe_code)]
 
@@ -104,7 +104,7 @@ impl Units {
     }
 }
 
-/// What the machine file does not say and a control wants to know.
+/// Settings that a control needs and the machine file does not state.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// The control's unit of length (Siemens, LinuxCNC; FANUC and HEIDENHAIN are written in mm).
@@ -153,12 +153,12 @@ pub struct File {
     pub text: String,
 }
 
-/// What is exported.
+/// Files of an export, and its report.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Export {
     /// The files for the control, in the order in which they are loaded.
     pub files: Vec<File>,
-    /// What they hold, and how well.
+    /// The report on their content, and how well it fits the model.
     pub report: Report,
 }
 

@@ -1,4 +1,4 @@
-//! What was exported, with which difference from the model, and what could not be.
+//! Report of what was exported, with which difference from the model, and what could not be.
 
 use std::fmt::{self, Display};
 
@@ -39,7 +39,7 @@ pub struct Difference {
 impl Difference {
     pub(crate) const NONE: Self = Self { um: 0.0, at: String::new() };
 
-    /// Keeps the larger one. What is not a number is the largest of all.
+    /// Keeps the larger one. NaN is the largest of all.
     pub(crate) fn take(&mut self, difference_um: f64, at: impl FnOnce() -> String) {
         let um = if difference_um.is_nan() { f64::INFINITY } else { difference_um.abs() };
         if um > self.um || self.at.is_empty() {
@@ -53,7 +53,7 @@ impl Difference {
 pub struct ExportedTable {
     /// The file it stands in.
     pub file: String,
-    /// What it is there, in the control's own words.
+    /// Its name there, in the control's own words.
     pub name: String,
     /// The sections of the machine file that it holds.
     pub section: String,
@@ -63,13 +63,13 @@ pub struct ExportedTable {
     pub range: (f64, f64),
     /// From point to point, if the same everywhere.
     pub spacing: Option<f64>,
-    /// What was taken out of the error before it was written, in µm: the control wants 0 at the
+    /// The constant that was taken out of the error before it was written, in µm: the control wants 0 at the
     /// reference point, and a constant along an axis is a shift of its zero.
     pub constant_um: f64,
     /// The largest difference between the control's correction, read back from the file, and the
     /// model without `constant_um`.
     pub largest: Difference,
-    /// What was lost, if points had to be left away, or if the control gives its values out so that more
+    /// The loss, if points had to be left away, or if the control gives its values out so that more
     /// than its rounding is off; the difference above contains it.
     pub loss: Option<String>,
 }
@@ -83,7 +83,7 @@ pub struct LeftOut {
     pub reason: String,
 }
 
-/// What was exported, and what was not.
+/// Report of what was exported, and what was not.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
     /// The control.
@@ -94,9 +94,9 @@ pub struct Report {
     pub options: Options,
     /// One entry a table.
     pub tables: Vec<ExportedTable>,
-    /// What the control cannot hold.
+    /// Sections that the control cannot hold.
     pub left_out: Vec<LeftOut>,
-    /// What is set by hand, and what was assumed.
+    /// Settings to be made by hand, and assumptions.
     pub notes: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! What only the user knows about a file: questions, and the answers that flags, a terminal or a map of headers give.
+//! Questions about a file that only the user can answer, and the answers from flags, a terminal or a map of headers.
 
 use trueup_machine::{BadInput, Location};
 use trueup_output::escape::shell_word;
@@ -18,7 +18,7 @@ pub struct Circle {
     pub is_clockwise: Option<bool>,
 }
 
-/// What the user has said about a file.
+/// The user's answers about a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Answers {
     /// The sign before the decimals.
@@ -47,7 +47,7 @@ pub struct Answers {
     pub of_map: Vec<String>,
 }
 
-/// What a question is about.
+/// The topic of a question.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Topic {
     /// The sign before the decimals.
@@ -73,9 +73,9 @@ pub enum Topic {
 pub struct Question {
     /// Where it arises.
     pub place: Location,
-    /// What is open, a sentence without its stop.
+    /// The question, a sentence without its stop.
     pub text: String,
-    /// What it is about.
+    /// Its topic.
     pub topic: Topic,
     /// Values that may be given.
     pub choices: Vec<String>,

@@ -1,4 +1,4 @@
-//! What the cells of a column are: numbers with or without a unit, times, words.
+//! The kinds of cells in a column: numbers with or without a unit, times, words.
 
 use std::path::Path;
 

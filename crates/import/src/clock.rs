@@ -146,7 +146,7 @@ pub(crate) fn pair(
     }]))
 }
 
-/// What was found on the way.
+/// Seconds of the rows, and notes on how the clock was read.
 pub(crate) struct Seconds {
     pub(crate) values: Vec<f64>,
     pub(crate) notes: Vec<String>,
@@ -195,7 +195,7 @@ pub(crate) fn seconds(
     )
 }
 
-/// What a clock may do that time does not.
+/// The jumps that a clock may make and time does not.
 #[derive(Clone, Copy)]
 pub(crate) struct Wall {
     /// It begins again at midnight.

@@ -61,7 +61,7 @@ impl Row {
 #[derive(Clone, Debug)]
 pub(crate) struct Grid {
     pub(crate) rows: Vec<Row>,
-    /// What separates the fields, in words; empty for a workbook.
+    /// The separator of the fields, in words; empty for a workbook.
     pub(crate) separator: String,
     /// Fields are separated by a comma, so an unquoted number has no decimal comma.
     pub(crate) is_by_comma: bool,
@@ -69,7 +69,7 @@ pub(crate) struct Grid {
     pub(crate) is_open_ended: bool,
 }
 
-/// What may stand between fields, the likeliest first.
+/// Separators that may stand between fields, the likeliest first.
 const SEPARATORS: [char; 5] = ['\t', ';', ',', '|', ' '];
 
 /// Lines that the separator is chosen by.
@@ -99,9 +99,9 @@ pub(crate) fn of_text(text: &str, path: &Path) -> Result<Grid, BadInput> {
     Ok(Grid { rows, separator: name, is_by_comma: separator == ',', is_open_ended })
 }
 
-/// Joins cells of text where blanks separate the columns: `Actual value` and `Position [mm]` are one header each. A line
-/// with more cells than the lines of numbers is taken by gaps of two blanks, or with its units behind the words, where
-/// that gives as many cells as they have.
+/// Joins cells of text where blanks separate the columns: `Actual value` and `Position [mm]` are one header each. A
+/// line with more cells than the lines of numbers is taken by gaps of two blanks, or with its units behind the words,
+/// where that gives as many cells as they have.
 fn join_headers(rows: &mut [Row], text: &str) {
     let is_of_numbers = |row: &&Row| {
         row.cells.len() > 1 && row.cells.iter().all(|cell| looks_like_value(&cell.text()))

@@ -17,7 +17,7 @@ pub(crate) struct Source {
     pub(crate) header: String,
     /// Its unit, from a row of units.
     pub(crate) unit: String,
-    /// What it means, where the form of the file says so.
+    /// Its meaning, where the form of the file says so.
     pub(crate) meaning: Option<Meaning>,
     pub(crate) place: Location,
 }
@@ -27,7 +27,7 @@ pub(crate) struct Source {
 pub(crate) struct Layout {
     pub(crate) columns: Vec<Source>,
     pub(crate) rows: Vec<Row>,
-    /// What was left out or taken for granted, a sentence each.
+    /// Omissions and assumptions, a sentence each.
     pub(crate) notes: Vec<String>,
 }
 

@@ -67,7 +67,7 @@ pub struct Imported {
     pub columns: Vec<ColumnPreview>,
     /// Columns that were left out, and why.
     pub left_out: Vec<(String, String)>,
-    /// What else is to be known, a sentence each.
+    /// Further notes for the user, a sentence each.
     pub notes: Vec<String>,
 }
 

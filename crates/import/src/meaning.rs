@@ -7,7 +7,7 @@ use crate::{
     words::{self, *},
 };
 
-/// What a column holds.
+/// The meaning of a column.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Meaning {
     /// A column of the run file; `None` where the axis or the quantity is not said.
@@ -32,7 +32,7 @@ pub(crate) enum Meaning {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Target {
     pub(crate) name: String,
-    /// What its values are; `None` for bare numbers.
+    /// The dimension of its values; `None` for bare numbers.
     pub(crate) dimension: Option<Dimension>,
     /// The column's unit for one of the dimension's base unit.
     pub(crate) per_base: f64,

@@ -9,7 +9,7 @@ pub enum Decimal {
     Comma,
 }
 
-/// What a number says about the decimal sign of its file.
+/// Evidence of a number for the decimal sign of its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Evidence {
     /// It has neither sign.

@@ -1,4 +1,4 @@
-//! What each column of a table becomes in the run file, or which questions are open.
+//! The role of each column of a table in the run file, or the questions that are open.
 
 mod apart;
 
@@ -15,7 +15,7 @@ use crate::{
     unit::{self, Dimension, Unit},
 };
 
-/// What a column becomes.
+/// The role of a column in the run file.
 #[derive(Clone, Debug)]
 pub(crate) enum Role {
     /// Numbers in a unit.
@@ -81,7 +81,7 @@ pub(crate) fn is_named(column: &str, at: usize, header: &str, target: &str) -> b
 /// Returns what becomes of each column.
 ///
 /// # Errors
-/// What only the user knows, as questions; or what cannot be.
+/// Questions that only the user can answer; or a column or an answer that cannot be used.
 pub(crate) fn plan(layout: &Layout, answers: &Answers, path: &Path) -> Result<Vec<Plan>, Refused> {
     let mut drafts: Vec<Draft<'_>> =
         (0..layout.columns.len()).map(|at| draft(layout, at, answers)).collect::<Result<_, _>>()?;

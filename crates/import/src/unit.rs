@@ -1,6 +1,6 @@
 //! Units as people write them, and what they are in the run file's.
 
-/// What a unit measures.
+/// The dimension of a unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Dimension {
     /// In s.

@@ -10,7 +10,7 @@ pub(crate) const POSITION: &str = "position pos soll sollposition sollwert sollp
     command setpoint posicion posizione lage ziel zielposition cible consigne objetivo";
 /// An actual position.
 pub(crate) const ACTUAL: &str = "ist istposition istwert istpos actual reel real reale effettiva";
-/// What a gauge shows.
+/// A reading of a gauge.
 pub(crate) const MEASURED: &str = "abw abweichungen delta messuhr messwert messung gauge dial indicator reading anzeige abweichung deviation dev error \
     fehler ablesung ecart erreur comparateur lecture desviacion lectura errore lettura scostamento \
     comparatore comparador dti measured measurement fuehluhr taster feintaster laser elongation \

@@ -1,4 +1,4 @@
-//! What the bridge says of itself in its `Status` frames.
+//! The bridge's state, as its `Status` frames report it.
 
 use core::time::Duration;
 

@@ -45,7 +45,7 @@ pub struct Options {
     pub joints: [Option<JointSettings>; MAX_JOINTS],
 }
 
-/// What the pins say.
+/// Values of the input pins.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inputs {
     /// The operator wants offsets.
@@ -62,7 +62,7 @@ pub struct Inputs {
     pub confirm: bool,
     /// Commanded positions of X, Y and Z in mm, without the external offset.
     pub position_mm: [f64; 3],
-    /// What LinuxCNC did with the offsets of X, Y and Z.
+    /// LinuxCNC's external offsets of X, Y and Z, as requested and as applied.
     pub readings: [Reading; 3],
     /// The joints at which offsets enter.
     pub joints: [JointReading; MAX_JOINTS],
@@ -76,16 +76,16 @@ pub struct Inputs {
     pub conditions: Option<Conditions>,
 }
 
-/// What the pins are to say.
+/// Values for the output pins.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outputs {
     /// To be added to the counts of X, Y and Z, with wrapping.
     pub counts: [i32; 3],
-    /// What `moveoff` is to do with the joints.
+    /// Goals and limits of the joints' offsets for `moveoff`.
     pub joints: [JointGoal; MAX_JOINTS],
-    /// What the bridge says, in µm; the last that it said, where it is silent.
+    /// The bridge's offsets, in µm; the last that were received, where it is silent.
     pub offset_um: [f64; 3],
-    /// What LinuxCNC has applied, in µm.
+    /// The offsets that LinuxCNC has applied, in µm.
     pub applied_um: [f64; 3],
     /// The offsets of the bridge are applied on every axis.
     pub applied: bool,
@@ -103,13 +103,13 @@ pub struct Outputs {
     pub flags: Flags,
     /// Milliseconds since the sample on which the offset rests.
     pub age_ms: u32,
-    /// What has arrived.
+    /// Counters of received frames.
     pub counters: Counters,
     /// The bridge's temperatures in °C; `None` where it does not say.
     pub temperatures_c: [Option<f64>; TEMPERATURES],
     /// The elongation of the spindle by its sensor, in µm; `None` where the bridge does not say.
     pub elongation_um: Option<f64>,
-    /// What the bridge says of itself next to its offsets.
+    /// State bits that the bridge reports next to its offsets.
     pub state: StateBits,
     /// CRC of the calibration that the bridge runs on, once it has said so; 0: none.
     pub calibration: Option<u32>,
@@ -164,8 +164,8 @@ impl Component {
         self.sender.learn(learned.filter(|(_, calibration)| running == Some(*calibration)));
     }
 
-    /// Says from now on that nothing was learned, to whatever calibration the bridge runs on: what it was told before
-    /// this component began stays in force until it is taken back.
+    /// Says from now on that nothing was learned, to whatever calibration the bridge runs on: values that it got before
+    /// this component began stay in force until they are taken back.
     pub fn unlearn(&mut self) {
         self.sender.learn(self.status.calibration.map(|running| ([0; PARTS], running)));
     }

@@ -14,7 +14,7 @@
 //!   hurried loop never puts two steps into one cycle, without any clock in common. A step that is
 //!   not shown for long is taken back before another is tried: a servo thread that comes late, on a
 //!   starved computer, finds one step at most, however long it stood.
-//! * **What counts is what LinuxCNC did.** r is read, never remembered. Where it has changed by
+//! * **The state is LinuxCNC's own.** r is read, never remembered. Where it has changed by
 //!   something else (machine on, another writer), the next step begins there.
 //! * **No wind-up.** LinuxCNC's planner (`simple_tp.c`) asks for the speed
 //!   u = −aT + √(2a·e + a²T²) at the distance e = r − c, with a its acceleration. u = v at
@@ -36,7 +36,7 @@ const SETTLE: Duration = Duration::from_millis(50);
 /// This many of them one after the other: the pins are not connected as they should be, or LinuxCNC
 /// stands.
 const LOST_STEPS: u8 = 3;
-/// An axis that the planner does not move for so long is told to be stuck.
+/// An axis that the planner does not move for so long is reported as stuck.
 const STUCK_AFTER: Duration = Duration::from_millis(500);
 /// Two readings of `eoffset-request` are the same within this, in counts.
 const SAME: f64 = 0.25;
@@ -73,7 +73,7 @@ impl Pace {
     }
 }
 
-/// What the pins of an axis say.
+/// Values of the pins of an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Reading {
     /// `axis.L.eoffset-request`, in nanometres.
@@ -90,7 +90,7 @@ struct Pending {
     written: Duration,
 }
 
-/// What one call found.
+/// The result of one call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Step {
     /// To be added to the counts, with wrapping; 0: leave the pin alone.

@@ -1,7 +1,7 @@
 //! Offsets between the joints and their drives: what `moveoff` is to do, whatever LinuxCNC does meanwhile.
 //!
-//! `moveoff` limits speed and acceleration in the servo thread, so that its input may step. What is decided here is the
-//! goal of each joint:
+//! `moveoff` limits speed and acceleration in the servo thread, so that its input may step. This module
+//! decides the goal of each joint:
 //!
 //! | LinuxCNC | the offset of a joint |
 //! |---|---|
@@ -11,8 +11,8 @@
 //!
 //! A home switch is found with the offset that acts, and LinuxCNC's new reference (`joint.N.motor-offset`) contains it:
 //! to find the same places as before, it has to stay, and new offsets are added to it. So the base is the offset that
-//! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never further
-//! from the planner's machine than the offset of the axis; both are counted without the base.
+//! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never
+//! further from the planner's machine than the offset of the axis; both are counted without the base.
 
 use core::time::Duration;
 
@@ -42,7 +42,7 @@ pub struct JointSettings {
     pub mm_per_s2: f64,
 }
 
-/// What LinuxCNC's pins say of a joint.
+/// Values of LinuxCNC's pins for a joint.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointReading {
     /// The offset that acts, in nanometres: `moveoff.offset-current`.
@@ -65,7 +65,7 @@ impl JointReading {
     }
 }
 
-/// What `moveoff` is to do with a joint, in nanometres.
+/// Goal and limits of a joint's offset for `moveoff`, in nanometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointGoal {
     /// Goal of the offset.
@@ -76,7 +76,7 @@ pub struct JointGoal {
     pub max_nm: f64,
 }
 
-/// What acts on the axes.
+/// Offsets that act on the axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Applied {
     /// Offset of X, Y and Z without the bases, in nanometres; of an axis with two joints the larger one.
@@ -116,7 +116,7 @@ pub struct JointOffsets {
     states: [State; MAX_JOINTS],
 }
 
-/// What a step starts from.
+/// Inputs of a step that all joints share.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
     /// The time.

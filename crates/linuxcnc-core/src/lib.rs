@@ -1,4 +1,5 @@
-//! What a component of LinuxCNC's HAL decides, without a HAL, allocation or clock: pins and frames in, pins and frames out.
+//! Decisions of a component of LinuxCNC's HAL, without a HAL, allocation or clock: pins and frames in, pins and frames
+//! out.
 //!
 //! ```text
 //!  pins ─► sender ───► frames ─► bridge

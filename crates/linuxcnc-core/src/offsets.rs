@@ -30,7 +30,7 @@ pub struct Limits {
     pub hold: Duration,
 }
 
-/// What the offsets are to do.
+/// The target of the offsets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// Go to these offsets, in nanometres.
@@ -61,7 +61,7 @@ impl ReceivedOffsets {
         Self { receiver, malformed_lines: 0, last: None, followed: now, clamped: false }
     }
 
-    /// Takes a frame. What must not be used is counted.
+    /// Takes a frame. Frames that must not be used are counted.
     pub fn hear(&mut self, now: Duration, frame: &Frame) {
         if let Ok(Some(output)) = self.receiver.accept(frame) {
             self.last = Some((now, output));

@@ -1,4 +1,4 @@
-//! What the CNC says to the bridge, and when.
+//! The CNC's frames to the bridge, and when they are sent.
 //!
 //! | frame | from | when |
 //! |---|---|---|
@@ -8,7 +8,7 @@
 //! | `Spindle` | speed and load | every 20 ms while they change, else every 50 ms |
 //! | `Conditions` | tool and conditions | every 50 ms, once the tool is known |
 //!
-//! What is not a number is not sent: the bridge then knows that it does not know.
+//! A value that is not a number is not sent: the bridge then knows that it does not know.
 //!
 //! A direction is where the axis was last sent, +1 or −1, also while it stands. It turns when the
 //! command has gone back by more than 1 µm: the last digits of a command that LinuxCNC computes as a
@@ -34,17 +34,17 @@ use trueup_link::{
 /// The frames of one call: one of each kind at most.
 pub type Frames = heapless::Vec<Frame, 7>;
 
-/// What stands is sent this often: a bridge that was away has to learn where it is.
+/// Unchanged values are sent this often: a bridge that was away has to learn where it is.
 const STANDING_PERIOD: Duration = Duration::from_millis(50);
 /// A command that has gone back by this much is a reversal.
 const REVERSAL: i32 = Position::PER_MILLIMETRE / 1_000;
 /// The board sees the edge of `Zero` only if it holds for some frames of `Control`.
 const ZERO_HOLDS: Duration = Duration::from_millis(100);
 
-/// What is sent.
+/// Values to send.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
-    /// What the CNC allows.
+    /// The CNC's permissions and requests, for `Control`.
     pub control: Control,
     /// Commanded positions of X, Y and Z in mm, without the external offset.
     pub position_mm: [f64; 3],
@@ -130,7 +130,7 @@ impl Course {
     }
 }
 
-/// What the CNC says.
+/// The sender of the CNC's frames.
 #[derive(Debug)]
 pub struct Sender {
     position_period: Duration,
@@ -144,7 +144,7 @@ pub struct Sender {
     conditions: Changing<Conditions>,
     zero_until: Option<Duration>,
     zero_was: bool,
-    /// What was learned, and the calibration that it is a change of; `None`: nothing is said of it.
+    /// Learned values, and the calibration that they change; `None`: none are sent.
     learned: Option<([i16; PARTS], u32)>,
 }
 
@@ -174,8 +174,8 @@ impl Sender {
         }
     }
 
-    /// What was learned is from now on said again and again, a part in each `Control`: a bridge that has
-    /// restarted has forgotten it.
+    /// Sends the learned values from now on again and again, a part in each `Control`: a bridge that has
+    /// restarted has forgotten them.
     pub fn learn(&mut self, learned: Option<([i16; PARTS], u32)>) {
         self.learned = learned;
     }

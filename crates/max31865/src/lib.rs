@@ -92,7 +92,7 @@ const fn ratio_of(resistance: MicroOhms) -> u16 {
     ((((resistance.0 as u64) << RATIO_BITS) / REFERENCE.0 as u64) << 1) as u16
 }
 
-/// What is latched in the fault register.
+/// Bits that are latched in the fault register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Faults(pub u8);
 
@@ -114,7 +114,7 @@ impl Faults {
     }
 }
 
-/// What a converter says.
+/// The result of reading a converter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Reading {
     /// No converter answers.
@@ -140,7 +140,7 @@ impl Reading {
     }
 }
 
-/// What comes next.
+/// The step that comes next.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Step {
     #[default]

@@ -14,7 +14,7 @@ const PLAIN: i64 = 110_000_000;
 struct Chip {
     registers: [u8; REGISTERS],
     micro_ohms: i64,
-    /// What a cable check finds.
+    /// Fault bits that a cable check finds.
     cable: u8,
 }
 

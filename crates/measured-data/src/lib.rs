@@ -1,8 +1,8 @@
 //! Where the measured data are that tests read and the project may not carry (`docs/measured-data.md`
 //! lists them).
 //!
-//! The folder is what `TRUEUP_DATA` names, else `../shared/data` next to the project. Whoever has
-//! neither loses the tests on them, and is told so for each: nothing is left out in silence.
+//! The folder is what `TRUEUP_DATA` names, else `../shared/data` next to the project. Without
+//! either, the tests on them are skipped, with a line for each: nothing is left out in silence.
 #![allow(clippy::print_stdout, clippy::disallowed_methods, reason = "only tests use it")]
 #![forbid(unsafe_code)]
 

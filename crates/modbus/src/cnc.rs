@@ -51,7 +51,7 @@ pub fn written(block: &Registers) -> &[u16] {
     }
 }
 
-/// What the control says in one block.
+/// Data that the control writes in one block.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cnc {
     /// Its sign of life, and what it allows.
@@ -60,7 +60,7 @@ pub struct Cnc {
     pub positions: [Option<AxisPosition>; 3],
     /// Where the rotary axes are sent.
     pub rotary: Option<Rotary>,
-    /// What the spindle does.
+    /// The spindle's speed and load.
     pub spindle: Option<Spindle>,
     /// The tool and the conditions; `None`: the control does not say.
     pub conditions: Option<Conditions>,

@@ -19,7 +19,7 @@ use crate::{
 /// The block as it stands in the registers.
 pub type Registers = [u16; INPUT_LEN];
 
-/// What the bridge says to a PLC.
+/// Data that a PLC reads from the bridge.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Input {
     /// One more with each new content.

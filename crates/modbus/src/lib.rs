@@ -9,7 +9,7 @@
 //!
 //! [`table`] is the one description of both blocks: code, documentation and the PLC programs of
 //! `integrations` have their numbers from it. Each block is read or written whole, in one request, and
-//! carries a counter and a CRC, so that whoever copies it elsewhere in two halves finds out.
+//! carries a counter and a CRC, so that a copy of it in two halves is detected.
 //!
 //! Nothing here allocates, reads a clock, or panics on any input.
 #![no_std]

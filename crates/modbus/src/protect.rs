@@ -6,8 +6,8 @@
 //!       then the data ID's low byte, then its high byte
 //! ```
 //!
-//! The counter is a register of its own. The data ID tells an input block from a holding block, so that
-//! neither passes for the other.
+//! The counter is a register of its own. The data ID distinguishes an input block from a holding block, so
+//! that neither passes for the other.
 
 use trueup_link::e2e::crc_of;
 

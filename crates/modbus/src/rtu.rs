@@ -1,4 +1,4 @@
-//! A slave on a serial line: where a frame ends is told by silence alone.
+//! A slave on a serial line: silence alone marks the end of a frame.
 //!
 //! ```text
 //!  bytes  ▮▮▮▮▮▮▮▮▮▮▮▮            ≥ 3.5 characters: the frame is whole

@@ -20,7 +20,7 @@
 //! No answer: a serial broadcast (unit 0; a command that engages one bridge is addressed to one, so nothing
 //! moves), a serial frame for another unit or with a wrong checksum, bytes that are no request.
 //!
-//! The library builds and parses frames. What it would let pass is asked before it sees them: a byte
+//! The library builds and parses frames. Errors that it would let pass are checked before it sees them: a byte
 //! count that is not twice the quantity, a quantity of 0, bytes behind the end, an unknown function in
 //! a serial frame that is damaged.
 
@@ -63,7 +63,7 @@ pub fn checksum(bytes: &[u8]) -> [u8; 2] {
 /// An answer.
 pub type Response = Vec<u8, MAX_FRAME>;
 
-/// What the request comes over.
+/// The transport that a request comes over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
     /// TCP: a header with transaction and length before the unit.
@@ -76,7 +76,7 @@ pub enum Transport {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Busy;
 
-/// What stands behind the registers.
+/// The bridge behind the registers.
 pub trait Bridge {
     /// Returns the input block as it is now, of one moment.
     fn input(&mut self) -> input::Registers;

@@ -4,7 +4,7 @@
 //! comes first, as an S7 keeps a `DINT`). In a data block of an S7 a register is two bytes, so its
 //! address is twice the number here, from where the block begins.
 
-/// What a name is made of.
+/// Registers and number format of a name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     /// One register, 0…65 535.
@@ -44,13 +44,13 @@ impl Form {
 pub struct Register {
     /// Its address: of its first register, from 0.
     pub address: usize,
-    /// What it is made of.
+    /// Its registers and number format.
     pub form: Form,
     /// Its name.
     pub name: &'static str,
     /// Its unit for one step of the number; empty: none.
     pub unit: &'static str,
-    /// What it says.
+    /// Its description.
     pub text: &'static str,
 }
 
@@ -69,7 +69,7 @@ pub const NO_TEMPERATURE: i16 = i16::MIN;
 
 /// Where the two registers stand that a master's order of words is tried with, next to both blocks.
 pub const WORD_ORDER_ADDRESS: usize = 100;
-/// What they hold: 16 909 060 (0x01020304) where the high word comes first.
+/// Their content: 16 909 060 (0x01020304) where the high word comes first.
 pub const WORD_ORDER: [u16; 2] = [0x0102, 0x0304];
 
 macro_rules! block {

@@ -7,7 +7,7 @@ use crate::{chart::Colour, html::escaped};
 /// Named sizes, each a bar; a size below 0 is drawn as 0 and written as it is.
 #[derive(Clone, Debug)]
 pub struct Bars {
-    /// What the sizes are, in a sentence.
+    /// The caption: the meaning of the sizes, in a sentence.
     pub title: String,
     /// Names and sizes.
     pub bars: Vec<(String, f64)>,

@@ -9,16 +9,16 @@ const HEIGHT: f64 = 290.0;
 /// Left, right, top, bottom: room for the numbers and the names of the axes.
 const MARGIN: [f64; 4] = [58.0, 12.0, 12.0, 44.0];
 
-/// What is drawn, and so in which colour: the same on every page.
+/// Colours by what they stand for: the same on every page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Colour {
     /// As it was: the machine file as it is.
     Before,
     /// As it is corrected.
     After,
-    /// What an instrument read.
+    /// Readings of an instrument.
     Measured,
-    /// What was hidden.
+    /// Hidden true values.
     Truth,
 }
 
@@ -49,13 +49,13 @@ pub struct Series {
 /// A chart.
 #[derive(Clone, Debug)]
 pub struct Chart {
-    /// What it shows, in a sentence: for those who cannot see it, and under it.
+    /// The caption, a sentence on what is shown: for those who cannot see it, and under it.
     pub title: String,
     /// The name of the horizontal axis, with its unit.
     pub x: String,
     /// The name of the vertical axis, with its unit.
     pub y: String,
-    /// What is drawn, the last on top.
+    /// The series to draw, the last on top.
     pub series: Vec<Series>,
 }
 

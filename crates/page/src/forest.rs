@@ -33,7 +33,7 @@ pub struct ForestRow {
 /// Values of many things.
 #[derive(Clone, Debug)]
 pub struct Forest {
-    /// What it shows, in a sentence.
+    /// The caption, a sentence on what is shown.
     pub title: String,
     /// The name of the axis, with its unit.
     pub axis: String,
@@ -129,7 +129,7 @@ impl Forest {
     }
 }
 
-/// Returns a name that has room: its beginning and its end, which tells serial numbers apart.
+/// Returns a name that has room: its beginning and its end, which distinguishes serial numbers.
 fn shortened(name: &str) -> String {
     let characters: Vec<char> = name.chars().collect();
     if characters.len() <= MAX_NAME {

@@ -55,7 +55,7 @@ body{max-width:none;padding:0;font-size:9pt;line-height:1.3}pre{white-space:pre-
 h2{margin:.6rem 0 .2rem}.card,tr{break-inside:avoid}h2,h3{break-after:avoid}\
 .grid{grid-template-columns:1fr 1fr}*{print-color-adjust:exact}}";
 
-/// What stands before the lines to be typed next.
+/// The line before the commands to be typed next.
 pub const NEXT: &str = "Next, in a terminal:";
 
 /// A page that is being written.
@@ -104,7 +104,7 @@ impl Page {
         self.body.push_str("</ul>\n");
     }
 
-    /// What comes out, in a card: `state` is `good`, `open` or `bad`.
+    /// A result, in a card: `state` is `good`, `open` or `bad`.
     pub fn card<T: AsRef<str>>(&mut self, state: &str, heading: &str, sentences: &[T]) {
         self.card_then(state, heading, sentences, &[]);
     }

@@ -1,4 +1,4 @@
-//! What a page was made from: without it a print is worth nothing a year later.
+//! The foot of a page with its origin: without it a print is worth nothing a year later.
 
 use crate::html::{Page, Table, escaped};
 

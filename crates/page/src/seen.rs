@@ -1,4 +1,4 @@
-//! What of many points can be seen: a picture has this many places, however many rows a run has.
+//! Reduces many points to those that can be seen: a picture has this many places, however many rows a run has.
 //!
 //! A dot covers a cell. Dots in the same cell are one, and cells on top of each other are one stroke. A line goes
 //! up and down within the width of a stroke: of the points in there the first, the lowest, the highest and the
@@ -39,8 +39,8 @@ pub(crate) fn dots(points: &[[f64; 2]]) -> String {
     path
 }
 
-/// Returns the path of a closed or folded curve through `points`: of many, each that is farther than a stroke from the one
-/// before.
+/// Returns the path of a closed or folded curve through `points`: of many, each that is farther than a stroke from the
+/// one before.
 pub(crate) fn path(points: &[[f64; 2]]) -> String {
     let mut path = String::new();
     let mut last: Option<[f64; 2]> = None;

@@ -56,7 +56,7 @@ const NONE: u16 = 0xFFFF;
 /// In place of an identifier: the board restarts.
 const RESTART: u16 = 0xFFFE;
 
-/// What happens to the board in one millisecond.
+/// Inputs of the board in one millisecond.
 ///
 /// ```
 /// use trueup_core::thermometer::Raw;
@@ -210,7 +210,7 @@ pub enum BlockError {
     Reserved {
         /// Their offset in the block, in bytes.
         at: usize,
-        /// What they hold.
+        /// Their value.
         found: u16,
     },
 }
@@ -231,7 +231,7 @@ impl fmt::Display for BlockError {
 
 impl Error for BlockError {}
 
-/// What the board says.
+/// A record that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Record {
     /// It sends a frame to the CNC.

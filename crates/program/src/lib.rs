@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The run file's rows are found by walking through the plan's own moves, so that position,
-//! direction and feed of a reading cannot differ from what the control is told.
+//! direction and feed of a reading cannot differ from the control's program.
 //!
 //! | module | does |
 //! |---|---|
@@ -38,10 +38,10 @@ pub use options::{Gauge, Options};
 pub use plan::Plan;
 pub use refused::Refused;
 
-/// What is to be measured.
+/// The kinds of measurement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// What an axis loses on a reversal, at three places.
+    /// The lost motion of an axis on a reversal, at three places.
     Backlash,
     /// Position errors there and back.
     Pitch,

@@ -1,4 +1,4 @@
-//! How a measurement is wanted. What is left out is what the papers or ISO 230-2 say.
+//! Options of a measurement. The defaults are those of the papers or of ISO 230-2.
 
 use trueup_machine::file::LinearAxis;
 
@@ -10,7 +10,7 @@ pub enum Gauge {
     /// An indicator at one place: the program stops for it to be set up, and clears it on the way.
     #[default]
     Dial,
-    /// A laser interferometer or another gauge along the whole way: nobody sets anything up in between.
+    /// A laser interferometer or another gauge along the whole way: no set-up in between.
     Laser,
 }
 

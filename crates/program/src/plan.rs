@@ -3,7 +3,7 @@
 //! Positions are machine coordinates in mm. Each measured move is straight and at a stated feed; a
 //! reading is taken while the axes stand.
 
-/// What is to be done, in order.
+/// A step of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     /// A line for the reader.
@@ -56,7 +56,7 @@ pub struct Reading {
     pub dwelt_s: f64,
 }
 
-/// What stands in a column of the run file.
+/// A column of the run file, by its content.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Column {
     /// `run`.
@@ -84,13 +84,13 @@ pub enum Column {
 pub struct Plan {
     /// The name of both files, without an ending: `backlash-x`.
     pub name: String,
-    /// What the operator has to know before it runs, a sentence each.
+    /// Notes for the operator before it runs, a sentence each.
     pub notes: Vec<String>,
     /// Precautions of this measurement, a sentence each: part of the first stop.
     pub precautions: Vec<String>,
     /// The feed of each approach, in mm/min.
     pub approach_mm_per_min: f64,
-    /// What is done.
+    /// The steps, in order.
     pub steps: Vec<Step>,
     /// The columns of the run file.
     pub columns: Vec<Column>,

@@ -1,4 +1,4 @@
-//! What does not fit, said to the user.
+//! The refusal of a measurement that does not fit.
 
 use std::fmt;
 

@@ -11,7 +11,7 @@ use std::{
 
 /// Before a line that broke is opened again.
 const PAUSE: Duration = Duration::from_secs(1);
-/// The longest line: whoever sends more without an end sends no readings.
+/// A line of this many characters or more is not a reading.
 const LONGEST: usize = 80;
 
 /// The unit in which a gauge counts.
@@ -96,7 +96,7 @@ impl Indicator {
         })
     }
 
-    /// Reads until the line ends, and says why; `None`: nobody listens any more.
+    /// Reads until the line ends, and says why; `None`: the receiver is gone.
     fn read(&self, line: Box<dyn Read + Send>, sender: &Sender<Heard>) -> Option<String> {
         let mut reader = BufReader::new(line);
         let mut bytes = Vec::new();

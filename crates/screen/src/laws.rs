@@ -1,4 +1,4 @@
-//! What the machine's laws say of what is received: the sensor's voltage, and which cause has which share in
+//! The machine's laws applied to what is received: the sensor's voltage, and which cause has which share in
 //! the offset. The laws are those of a machine file, or of the calibration that the board itself gives.
 
 use std::{borrow::Cow, collections::BTreeMap, path::Path};
@@ -21,7 +21,7 @@ pub struct Laws {
     has_counts: bool,
 }
 
-/// What the sensor gives.
+/// A reading of the sensor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading {
     /// At the sensor, before the divider, in V.
@@ -41,7 +41,7 @@ pub struct Share {
     pub offset_um: [f64; 3],
 }
 
-/// What is received at a moment.
+/// The received values at a moment.
 pub struct Moment<'a> {
     /// Since the screen began, in s.
     pub time_s: f64,

@@ -49,7 +49,7 @@ const TURN: Duration = Duration::from_millis(10);
 /// A calibration is read once; after a refusal it is asked for again, not sooner than this.
 const AGAIN: Duration = Duration::from_secs(3_600);
 
-/// What the user wants to see.
+/// Options of the screen.
 pub struct Options {
     /// Where the bridge is.
     pub port: String,
@@ -62,7 +62,7 @@ pub struct Options {
     pub record: Option<PathBuf>,
     /// Record nothing of a bridge that runs on another calibration than the machine file makes.
     pub is_strict: bool,
-    /// What the gauge measures.
+    /// The quantity that the gauge measures.
     pub quantity: Quantity,
     /// A gauge that speaks.
     pub indicator: Option<Indicator>,
@@ -269,7 +269,7 @@ impl Live {
         Ok(())
     }
 
-    /// What is due to be asked of the bridge: reading alone, and nothing while the line is down.
+    /// Sends the requests to the bridge that are due: reading alone, and none while the line is down.
     fn ask(&mut self, line: &Line, now: Instant) {
         if self.state.link != Link::Up {
             return;

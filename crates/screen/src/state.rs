@@ -46,7 +46,7 @@ pub enum Key {
     Interrupt,
 }
 
-/// What the loop is to do.
+/// An action for the loop.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// End.
@@ -75,7 +75,7 @@ pub enum Link {
 /// Whose laws the screen uses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// Nobody's.
+    /// No laws.
     None,
     /// The board's own calibration; this many percent of it have come.
     Reading(u32),
@@ -88,13 +88,13 @@ pub enum Source {
 /// The gauge that measures the machine while the bridge runs.
 #[derive(Clone, Debug)]
 pub struct Gauge {
-    /// What it measures.
+    /// The quantity that it measures.
     pub quantity: Quantity,
     /// It speaks to this computer; otherwise its readings are typed.
     pub is_live: bool,
     /// The newest reading in µm, and when.
     pub latest: Option<(f64, f64)>,
-    /// What is wrong with it.
+    /// Its fault, as text for the user.
     pub trouble: Option<String>,
 }
 
@@ -112,13 +112,13 @@ pub struct State {
     pub port: String,
     /// The line.
     pub link: Link,
-    /// What makes shares and volts of what is received.
+    /// The laws that make shares and volts of what is received.
     pub laws: Option<Laws>,
     /// Where they are from.
     pub source: Source,
     /// The gauge.
     pub gauge: Gauge,
-    /// What is being typed of a gauge's reading.
+    /// The part of a gauge's reading that is typed so far.
     pub prompt: Option<String>,
     /// Where the recording goes.
     pub recording: Option<String>,
@@ -128,7 +128,7 @@ pub struct State {
     pub rows: u64,
     /// Every key is explained.
     pub is_helping: bool,
-    /// What the board says of itself.
+    /// The board's state, as it reports it.
     pub board: Board,
     /// The share of each cause.
     pub shares: Vec<Share>,
@@ -327,12 +327,12 @@ impl State {
         self.series = known.unwrap_or(self.series);
     }
 
-    /// Tells the user something.
+    /// Shows the user a message.
     pub fn say(&mut self, message: impl Into<String>) {
         self.message = Some((message.into(), self.now_s));
     }
 
-    /// Returns what there is to tell, while it is new.
+    /// Returns the message, while it is new.
     #[must_use]
     pub fn message(&self) -> Option<&str> {
         let (message, at_s) = self.message.as_ref()?;

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 /// So far back, in s: what a finger, a spindle's start and the first of the heat take.
 pub const WINDOW_S: f64 = 300.0;
-/// What is watched: the growth, three offsets, eight temperatures, and what the gauge shows minus what the bridge has.
+/// The number of series: the growth, three offsets, eight temperatures, and the gauge minus the bridge.
 pub const SERIES: usize = 13;
 /// The last of them.
 pub const DIFFERENCE: usize = 12;

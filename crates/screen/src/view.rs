@@ -17,7 +17,7 @@ use crate::state::{Link, State};
 
 /// Rows without which a trend says nothing.
 const LEAST_TREND: u16 = 4;
-/// What every key does.
+/// The keys, each with its action.
 const KEYS: [(&str, &str); 6] =
     [("q", "quit"), ("r", "record"), ("g", "gauge"), ("u", "undo"), ("t", "trend"), ("?", "help")];
 const HELP: [&str; 11] = [

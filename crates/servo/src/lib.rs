@@ -6,11 +6,12 @@
 //! ```
 //!
 //! The node is the same as on the board, and so is what LinuxCNC does with its offsets (`trueup-linuxcnc-core`): both
-//! exchange the frames of the link, within one call a servo period ([`servo`]). What a board measures, analogue inputs of
-//! LinuxCNC measure here: [`sensor`] makes codes of volts, [`temperature`] the deliveries of thermometers of degrees.
+//! exchange the frames of the link, within one call a servo period ([`servo`]). Here analogue inputs
+//! of LinuxCNC replace the measuring inputs of a board: [`sensor`] makes codes of volts, [`temperature`] the
+//! deliveries of thermometers of degrees.
 //!
-//! The crate is linked as a static library to a component in C, which has the pins ([`abi`], the only file with `unsafe`).
-//! Nothing in a servo period allocates, makes a system call or panics, and every loop has a bound.
+//! The crate is linked as a static library to a component in C, which has the pins ([`abi`], the only file with
+//! `unsafe`). Nothing in a servo period allocates, makes a system call or panics, and every loop has a bound.
 #![no_std]
 #![deny(unsafe_code)]
 

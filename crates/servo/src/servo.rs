@@ -4,7 +4,7 @@
 //!  pins ─► component ─ frames ─► node ─ tick, service ─ frames ─► component ─► pins, a period later
 //! ```
 //!
-//! A tick of the node is a millisecond. What a servo period is to it:
+//! A tick of the node is a millisecond. A servo period has these ticks:
 //!
 //! | servo period | ticks |
 //! |---|---|
@@ -14,8 +14,9 @@
 //!
 //! Other periods are refused: no tick runs, and the reason is said ([`Refusal`]).
 //!
-//! A joint of LinuxCNC follows the command of its axis two periods later, and an offset takes one from the position to the
-//! joint. So where offsets enter at the joints, a position waits for a period, and its offset acts together with it.
+//! A joint of LinuxCNC follows the command of its axis two periods later, and an offset takes one from the position to
+//! the joint. So where offsets enter at the joints, a position waits for a period, and its offset acts together with
+//! it.
 
 use core::time::Duration;
 
@@ -257,8 +258,9 @@ impl Servo {
         &self.node
     }
 
-    /// Goes on with the heat from before a restart, `copies` as they were saved last. `now_s`: the wall's clock. Where it
-    /// does not say for how long nothing ran, or no copy is whole, the heat is not known, as on the board after a power cut.
+    /// Goes on with the heat from before a restart, `copies` as they were saved last. `now_s`: the wall's clock. Where
+    /// it does not say for how long nothing ran, or no copy is whole, the heat is not known, as on the board after a
+    /// power cut.
     pub fn resume(&mut self, copies: &Copies, now_s: Option<u32>) {
         self.started_s = now_s;
         let off_s = retained::off_s(copies, now_s);

@@ -1,8 +1,8 @@
 //! Temperatures in °C, as the deliveries of the thermometers that the calibration knows.
 //!
 //! LinuxCNC's inputs give degrees, whatever measures them; the calibration has a law for what the board's channels
-//! deliver. So a temperature goes backwards through that law: R(t) of IEC 60751 for a PT100, t·(counts per kelvin) + zero
-//! for a linear chain. What comes out of the node's law is the temperature again, to 0.005 mK for a PT100 and to a
+//! deliver. So a temperature goes backwards through that law: R(t) of IEC 60751 for a PT100, t·(counts per kelvin) +
+//! zero for a linear chain. The node's law then gives the temperature again, to 0.005 mK for a PT100 and to a
 //! 512th of a count for a chain.
 
 use trueup_core::{

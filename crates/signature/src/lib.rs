@@ -1,7 +1,7 @@
-//! Signatures of what is handed out, so that whoever gets a file can check from whom it is.
+//! Signatures of released files, so that the recipient of a file can check from whom it is.
 //!
-//! A signature is Ed25519 (RFC 8032) over the whole file, 64 bytes. Keys are PEM: the private one PKCS #8 (RFC 8410), the
-//! public one SubjectPublicKeyInfo. `openssl pkeyutl` reads both, and makes and checks the same signatures:
+//! A signature is Ed25519 (RFC 8032) over the whole file, 64 bytes. Keys are PEM: the private one PKCS #8 (RFC 8410),
+//! the public one SubjectPublicKeyInfo. `openssl pkeyutl` reads both, and makes and checks the same signatures:
 //!
 //! ```text
 //! openssl pkeyutl -verify -pubin -inkey KEY.pub.pem -rawin -in FILE -sigfile FILE.sig
@@ -18,7 +18,7 @@ use ed25519_dalek::{
 /// Bytes of a signature.
 pub const SIGNATURE_BYTES: usize = 64;
 
-/// What is wrong with a key or a signature.
+/// Errors of a key or a signature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The text is no private key of Ed25519 in PEM.
@@ -71,7 +71,7 @@ impl PrivateKey {
         SigningKey::from_pkcs8_pem(pem).map(Self).map_err(|_| Fault::NoPrivateKey)
     }
 
-    /// Returns the key in PEM (PKCS #8): whoever has it can sign in its owner's name.
+    /// Returns the key in PEM (PKCS #8): anyone who has it can sign in its owner's name.
     ///
     /// # Errors
     /// [`Fault::NoPrivateKey`]: the encoder refuses it, which no valid key causes.

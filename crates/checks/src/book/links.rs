@@ -11,7 +11,7 @@ use anyhow::Result;
 pub struct Link {
     /// The line, from 1 on.
     pub line: usize,
-    /// What stands between its brackets.
+    /// Its target, the text between `](` and `)`.
     pub target: String,
 }
 

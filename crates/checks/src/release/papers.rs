@@ -1,4 +1,4 @@
-//! What somebody who sells a product needs next to the program: parts lists, licences, known vulnerabilities, templates of
+//! Papers for the seller of a product, next to the program: parts lists, licences, known vulnerabilities, templates of
 //! declarations. Each by the tool that is kept for it; what cannot be had here is named.
 
 use std::{fs, path::Path, process::Command};
@@ -13,7 +13,7 @@ use crate::{cargo, supply_chain};
 const CYCLONEDX: &str = "0.5.9";
 const ABOUT: &str = "0.9.3";
 
-/// What is built of other people's crates: its name, the folder of its package, and what it is built for.
+/// A product that is built of other people's crates: its name, the folder of its package, and what it is built for.
 struct Product {
     name: &'static str,
     package: &'static str,
@@ -36,7 +36,7 @@ const PRODUCTS: [Product; 2] = [
     },
 ];
 
-/// Papers that stand in the project, for whoever gets only the release.
+/// Papers that stand in the project, copied for users who get only the release.
 const TEXTS: [&str; 4] = [
     "SECURITY.md",
     "CHANGELOG.md",

@@ -1,7 +1,7 @@
-//! The same commit, built in two folders: whoever builds it gets the bytes that are handed out, or the release is refused.
+//! The same commit, built in two folders: both builds give the same bytes, or the release is refused.
 //!
-//! The second folder is a fresh clone of another name and depth. What differs between two computers and has no place in
-//! a file is taken out of both: paths by `--remap-path-prefix`, times by the commit's (`SOURCE_DATE_EPOCH`).
+//! The second folder is a fresh clone of another name and depth. Differences between two computers that have no place
+//! in a file are taken out of both: paths by `--remap-path-prefix`, times by the commit's (`SOURCE_DATE_EPOCH`).
 
 use std::{
     env, fs,

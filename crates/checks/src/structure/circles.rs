@@ -30,7 +30,7 @@ struct Path {
 struct Crate<'s> {
     /// By module path, the root's being empty.
     modules: BTreeMap<Vec<String>, &'s SourceFile>,
-    /// What a module passes on under its own path: name to path.
+    /// The names that a module passes on under its own path: name to path.
     passed_on: BTreeMap<Vec<String>, BTreeMap<String, Vec<String>>>,
 }
 

@@ -1,5 +1,5 @@
-//! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a higher
-//! layer, places that name one cause of error outside its page; and the language of documents.
+//! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a
+//! higher layer, places that name one cause of error outside its page; and the language of documents.
 //!
 //! A file that needs a file that needs the first cannot be read, tried or changed alone; a file of a
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
@@ -25,7 +25,7 @@ const LONGEST: usize = 500;
 /// Files that are tables of data and may be longer.
 const TABLES: &[&str] = &[];
 
-/// What is allowed of each count.
+/// The limit of each count.
 struct Limits {
     /// Circles of files.
     circles: usize,

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::MOST_STEP;
 use crate::report::Approach;
 
-/// What the control holds after both files are loaded.
+/// The control's compensation data after both files are loaded.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Control {
     /// By number and axis; axis 0 where the parameter has no axis.

@@ -11,7 +11,7 @@ use crate::{
     report::{Approach, Difference},
 };
 
-/// What was read back, or why it could not be: EEC, CEC and machine data.
+/// Variables that were read back, or why they could not be: EEC, CEC and machine data.
 pub(super) type ReadBack = [Result<Variables, String>; 3];
 
 pub(super) fn compare(

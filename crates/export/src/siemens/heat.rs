@@ -1,8 +1,8 @@
-//! What changes while the machine runs: the temperature of an axis, the growth of the tool.
+//! Errors that change while the machine runs: with the temperature of an axis, with the growth of the tool.
 //!
 //! The control holds one value at a time, which its PLC writes: K₀ to SD43900 and tanβ to SD43910
 //! for an axis, the vector of the tool to SD42960. So two things are written: the setting data at
-//! one temperature (`TEMP_COMP.INI`, at the reference unless told otherwise), and the law as a
+//! one temperature (`TEMP_COMP.INI`, at the reference unless the options say otherwise), and the law as a
 //! table for the PLC (`temperature.csv`, `tool_direction.csv`), linear between its rows and held
 //! beyond them. Both are read back and compared.
 

@@ -1,4 +1,4 @@
-//! What can be read in two ways is a question.
+//! Content that can be read in two ways raises a question.
 
 use std::path::Path;
 

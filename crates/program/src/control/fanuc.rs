@@ -1,4 +1,4 @@
-//! FANUC, milling. What is repeated is a subprogram in the same file, its blocks numbered by ten.
+//! FANUC, milling. Repeated steps are a subprogram in the same file, its blocks numbered by ten.
 //!
 //! `G53` moves at rapid only. So the first move of an axis is the way from where it stands, which the control's
 //! variables `#5021` to `#5023` say in machine coordinates (custom macro B), at a feed; all others are in increments

@@ -19,7 +19,7 @@ use crate::{
     travel::Travel,
 };
 
-/// What a kind gives: its plans, and notes of what has none.
+/// The plans of a kind, and notes of what has none.
 type Plans = (Vec<Plan>, Vec<String>);
 
 /// Returns the plan of each axis, and a note for one that does not fit.

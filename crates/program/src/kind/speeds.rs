@@ -1,4 +1,4 @@
-//! Speeds of the spindle one after the other, from cold, read all the while: a run that somebody has planned.
+//! Speeds of the spindle one after the other, from cold, read all the while: a run planned by the caller.
 
 use super::NON_CONTACT;
 use crate::{

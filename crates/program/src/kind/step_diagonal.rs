@@ -1,5 +1,5 @@
-//! The four body diagonals in steps of one axis at a time, for a laser along each: three readings a step tell X, Y and Z apart,
-//! which a diagonal in one move does not.
+//! The four body diagonals in steps of one axis at a time, for a laser along each: three readings a step distinguish X,
+//! Y and Z, which a diagonal in one move does not.
 //!
 //! ```text
 //!        ┌ Z, read       each step: one axis, read, the next axis, read, the third axis, read
@@ -8,8 +8,8 @@
 //!   X
 //! ```
 //!
-//! A beam that is not along the diagonal is seen by the steps to first order: `fit volume` has its direction as an unknown of
-//! each set-up, so that four diagonals, or circles next to them, are needed.
+//! A beam that is not along the diagonal is seen by the steps to first order: `fit volume` has its direction as an
+//! unknown of each set-up, so that four diagonals, or circles next to them, are needed.
 
 use trueup_machine::{
     Machine,

@@ -1,4 +1,4 @@
-//! An axis to targets there and back, cold, run warm, or both: a run that somebody has planned.
+//! An axis to targets there and back, cold, run warm, or both: a run planned by the caller.
 
 use trueup_machine::{
     Machine,
@@ -13,7 +13,7 @@ use crate::{
     travel::{Travel, micrometres, retract, travel},
 };
 
-/// What is done.
+/// Parameters of the run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Targets {
     /// Which axis.

@@ -1,4 +1,4 @@
-//! What a program makes a machine do, in no control's words.
+//! Events that a program causes on a machine, in no control's words.
 
 /// Where a word sends an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -9,7 +9,7 @@ pub enum To {
     By(f64),
 }
 
-/// What happens, repeats written out.
+/// An event; repeats are written out.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
     /// The control waits, with these words in front of the operator.
@@ -18,7 +18,7 @@ pub enum Event {
     Go {
         to: [Option<To>; 3],
         feed: Option<f64>,
-        /// What is set at this time.
+        /// True if the move depends on no mode of an earlier program.
         has_modes: bool,
     },
     /// In r/min.

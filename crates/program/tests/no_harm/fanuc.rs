@@ -17,7 +17,7 @@ struct State {
     feed: Option<f64>,
 }
 
-/// What must be an alarm: the variable of each mode that turns or scales an increment.
+/// Variables that must raise an alarm: that of each mode that turns or scales an increment.
 const ALARMS: [&str; 5] = ["#4007", "#4011", "#4016", "#4017", "#4022"];
 
 pub fn read(text: &str) -> Result<Vec<Event>, String> {

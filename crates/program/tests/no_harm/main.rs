@@ -1,5 +1,5 @@
 //! No program harms: readers of our own, one a control, walk every program of every kind over random machines,
-//! ranges and options, from a place and in modes that nobody knows, and hold each block against the rules.
+//! ranges and options, from an unknown place and in unknown modes, and hold each block against the rules.
 //!
 //! ```text
 //! draw ─► plans ─► text of a control ─► reader ─► events ─► Walk: stop first, no rapid, only named axes, in range …

@@ -9,7 +9,7 @@ use crate::{
     event::{Event, To},
 };
 
-/// What a program may do.
+/// Limits that a program must keep.
 #[derive(Debug)]
 pub struct Limits {
     /// For each axis that may move: from where to where, in mm.
