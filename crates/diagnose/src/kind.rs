@@ -1,4 +1,4 @@
-//! What a term of a model is: a cause as its page has it, with its fitted values next to it; or a curve,
+//! The kinds of terms of a model: a cause as its page has it, with its fitted values next to it; or a curve,
 //! which is no cause.
 //!
 //! The values are first those that enter nonlinearly (a time constant, a period, a limit), then
@@ -41,7 +41,7 @@ pub(crate) struct Part {
 }
 
 impl Part {
-    /// Leaves what runs where nobody says the feed.
+    /// Replaces the cause by its form that needs no feed.
     pub(crate) fn forget_feed(&mut self) {
         let Some(cause) = self.kind.cause() else { return };
         let whole = cause.with(&self.values);

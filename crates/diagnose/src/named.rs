@@ -63,7 +63,7 @@ impl Named<'_> {
     }
 }
 
-/// What was fitted to the runs of a machine.
+/// The fits of causes to the runs of a machine.
 #[derive(Clone, Debug)]
 pub struct NamedFits {
     /// The causes of the model, all fitted together.

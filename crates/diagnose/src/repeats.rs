@@ -1,7 +1,7 @@
 //! Readings at equal positions: what repeats, and what does not.
 //!
-//! What scatters is what the model leaves: an axis that grows with its temperature as the model says
-//! repeats. What repeats is looked for in the readings themselves: a machine that does what its model
+//! Scatter is judged by what the model leaves: an axis that grows with its temperature as the model says
+//! repeats. Repetition is looked for in the readings themselves: a machine that does what its model
 //! says repeats, also where nothing else is left but noise.
 
 use std::collections::HashMap;

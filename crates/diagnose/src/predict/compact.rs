@@ -194,7 +194,7 @@ impl Moments {
     }
 }
 
-/// What is needed of a subsample to judge a set.
+/// The moments of a subsample that are needed to judge a set.
 struct Judge {
     inside: Moments,
     outside: Moments,
