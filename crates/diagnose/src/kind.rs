@@ -232,7 +232,8 @@ impl Kind {
         self.cause().is_some_and(Effect::has_phase)
     }
 
-    /// Returns whether it comes and goes with the clock: next to a law that is missing, it follows whatever drives that.
+    /// Returns whether it comes and goes with the clock: next to a law that is missing, it follows whatever drives
+    /// that.
     pub(crate) fn is_by_the_clock(&self) -> bool {
         matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
     }

@@ -105,7 +105,8 @@ impl Diagnosis {
         serde_json::to_string_pretty(&self.report)
     }
 
-    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed next.
+    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed
+    /// next.
     #[must_use]
     pub fn html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
         answer::html::html(self, machine_name, origin, next)

@@ -206,7 +206,8 @@ pub(crate) struct Repeats {
     pub systematic_um: f64,
 }
 
-/// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that do not come back.
+/// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that
+/// do not come back.
 pub(crate) fn analyse(data: &Data, predicted: &[f64], aside: &[bool]) -> Option<Repeats> {
     let run = data.run.as_deref()?;
     let own = data.own_position()?;

@@ -38,7 +38,7 @@ pub(super) struct Stretches {
     apart_s: Vec<f64>,
     /// The longest of those with several rows.
     longest_s: f64,
-    /// The weights that make the rows asked for of the values at the ends, and of the means.
+    /// Weights by which the rows asked for follow from the values at the ends, and from the means.
     of_ends: Weights,
     of_means: Weights,
 }

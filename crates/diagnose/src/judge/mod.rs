@@ -160,8 +160,8 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     judged
 }
 
-/// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what takes
-/// two inputs together.
+/// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what
+/// takes two inputs together.
 fn alone_does_as_well(case: &Case<'_>, cause: &Kind) -> Option<Kind> {
     if !cause.is_composed() {
         return None;

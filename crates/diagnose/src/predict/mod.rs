@@ -65,8 +65,8 @@ pub(crate) fn later_from(groups: usize) -> [usize; 2] {
     [groups / 2, 2 * groups / 3]
 }
 
-/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is what
-/// no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
+/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is
+/// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
 pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
     let dictionary = Dictionary::new(problem);
     let measured = problem.residual(&Model::default());
