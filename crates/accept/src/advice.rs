@@ -18,7 +18,7 @@ use crate::pair::Pair;
 /// is a tenth of what may be left.
 const SAME: f64 = 0.01;
 
-/// What to change.
+/// Advice on the machine file and the CNC.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Advice {
     /// A sentence each.
@@ -32,9 +32,9 @@ pub struct Advice {
 pub struct Change {
     /// Its section and key: `spindle.warmup.max_um`.
     pub key: String,
-    /// What the file has.
+    /// The value in the file.
     pub from: f64,
-    /// What the run without compensation shows.
+    /// The value that the run without compensation shows.
     pub to: f64,
     /// Its interval, 95 %; absent for what follows from other constants.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -23,7 +23,7 @@ pub use advice::{Advice, Change};
 use pair::{Pair, Part};
 pub use trueup_page::Origin;
 
-/// What is asked for.
+/// Requirements of an acceptance test.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// This much of the RMS must be gone, in percent, 0…100.
@@ -56,7 +56,7 @@ impl Size {
     }
 }
 
-/// What the machine does for 1 µm of offset.
+/// The machine's response to 1 µm of offset.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AppliedFactor {
     /// 1 is right, −1 the wrong sign, 0 not engaged.
@@ -65,12 +65,12 @@ pub struct AppliedFactor {
     pub ci95: [f64; 2],
 }
 
-/// What came out: `acceptance.json`.
+/// The result of an acceptance test: `acceptance.json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Acceptance {
     /// Whether all that was asked for is met.
     pub passed: bool,
-    /// What was compared: `elongation`, `dx`, `dy`, `dz`.
+    /// The compared quantity: `elongation`, `dx`, `dy`, `dz`.
     pub quantity: &'static str,
     /// Readings that both runs have.
     pub rows: usize,
@@ -80,10 +80,10 @@ pub struct Acceptance {
     pub after: Size,
     /// 1 − RMS after over RMS before.
     pub reduction: f64,
-    /// What was asked for, in the same terms.
+    /// The required reduction, in the same terms.
     pub required_reduction: f64,
-    /// What the machine does for 1 µm of offset: 1 is right; absent where the runs do not say what the bridge applied, or
-    /// not well enough for any figure.
+    /// The machine's response to 1 µm of offset: 1 is right; absent where the runs do not say what the bridge applied,
+    /// or not well enough for any figure.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub applied_factor: Option<AppliedFactor>,
     /// The largest error that is allowed, in µm.
@@ -93,9 +93,9 @@ pub struct Acceptance {
     pub parts: Vec<Part>,
     /// Why it has not passed, a sentence each.
     pub unmet: Vec<String>,
-    /// What to change.
+    /// Advice on the machine file and the CNC.
     pub advice: Advice,
-    /// What the reader must know of the runs, a sentence each.
+    /// Notes on the runs, a sentence each.
     pub notes: Vec<String>,
     #[serde(skip)]
     pair: Pair,
@@ -194,7 +194,7 @@ pub fn accept(
     })
 }
 
-/// Returns what is said where the runs have offsets and do not tell how the machine applies them.
+/// Returns a note where the runs have offsets and do not show how the machine applies them.
 fn unsure(applied: Applied) -> Option<String> {
     let Applied::Unknown(factor) = applied else { return None };
     let interval = factor.map_or(String::new(), |Factor { ci95: [low, high], .. }| {

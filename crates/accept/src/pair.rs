@@ -30,7 +30,7 @@ pub struct Part {
     pub from: f64,
     /// Its end.
     pub to: f64,
-    /// What these are: `time_s`, `x_mm`, `row`.
+    /// The column that these are of: `time_s`, `x_mm`, `row`.
     pub over: String,
     /// Without the compensation.
     pub before: Size,
@@ -48,9 +48,9 @@ pub struct Pair {
     pub over: String,
     pub off_um: Vec<f64>,
     pub on_um: Vec<f64>,
-    /// What the bridge applied in `on` more than in `off`, in µm; NaN where that is not known.
+    /// The offset applied in `on` minus that in `off`, in µm; NaN where that is not known.
     pub offset_um: Vec<f64>,
-    /// What the machine file predicts for `on` more than for `off`, in µm; NaN where nothing is.
+    /// The machine file's prediction for `on` minus that for `off`, in µm; NaN where there is none.
     pub predicted_um: Vec<f64>,
     pub notes: Vec<String>,
 }
@@ -72,8 +72,8 @@ fn alone_in_time(time_s: &[f64], um: &[f64]) -> Vec<usize> {
     found.iter().filter(is_alone).copied().collect()
 }
 
-/// Returns the rows that stand alone among the repeats of their place and direction: in the series of the place's own readings
-/// where these are many, since the machine may warm from one to the next; else among all repeats.
+/// Returns the rows that stand alone among the repeats of their place and direction: in the series of the place's own
+/// readings where these are many, since the machine may warm from one to the next; else among all repeats.
 fn alone_at_place(run: &RunFile, name: &str, um: &[f64]) -> Vec<usize> {
     let (Some(at), Some(axis)) = (run.column(name), name.get(..1)) else { return Vec::new() };
     let rows: Vec<usize> =
@@ -324,7 +324,7 @@ impl Pair {
         Ok(())
     }
 
-    /// Tells where the two were not driven alike.
+    /// Notes where the two were not driven alike.
     fn compare_driving(
         &mut self,
         runs: [&RunFile; 2],

@@ -7,7 +7,7 @@
 //! Readings that stand alone among the repeats of their place are excluded and listed by line, as in `fit pitch`.
 //!
 //! A place is a position with its direction of approach. The zero of an axis's gauge is arbitrary, so the
-//! mean of all differences is distinguished and taken off. What is left is asked, in this order of simplicity,
+//! mean of all differences is distinguished and taken off. The rest is tested against these laws, the simplest first,
 //!
 //! ```text
 //! nothing, backlash (w where d < 0), a slope along the axis that moved, both, a curve (another at each place)
@@ -68,10 +68,10 @@ pub struct Excluded {
     pub measured_um: f64,
 }
 
-/// What the two runs differ by.
+/// The difference between two runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// What was measured: `dx`.
+    /// The measured quantity: `dx`.
     pub quantity: String,
     /// The column of the places: `x_mm`.
     pub over: String,
@@ -93,11 +93,11 @@ pub struct Comparison {
     pub differs: bool,
     /// The cause that explains it, by its name in the reference.
     pub cause: Option<&'static str>,
-    /// What has changed by how much; empty for a curve, which is in the places.
+    /// Each change with its size; empty for a curve, which is in the places.
     pub changes: Vec<Change>,
     /// Readings that were excluded as outliers.
     pub outliers: Vec<Excluded>,
-    /// What it is, in sentences.
+    /// The difference in sentences.
     pub sentences: Vec<String>,
 }
 

@@ -117,7 +117,7 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
     found
 }
 
-/// What a run file of one day says.
+/// The constants and outliers of one day's run file.
 #[derive(Clone, Debug, Default)]
 pub struct OfRun {
     /// The backlash and the slope of each axis whose position errors it measures.

@@ -6,8 +6,8 @@
 //! ```
 //!
 //! "Measure again" is the day on which the constant may have changed by this much that it matters, at the
-//! fastest rate that the record allows (|b| and its half interval). What matters is the user's limit, else
-//! what a single measurement can tell: half its own interval, or twice what the line leaves.
+//! fastest rate that the record allows (|b| and its half interval). The change that matters is the user's limit, else
+//! the resolution of a single measurement: half its own interval, or twice what the line leaves.
 
 use serde::Serialize;
 use trueup_numerics::{least_squares::Triangle, t_quantile};
@@ -51,7 +51,7 @@ pub struct Trend {
     pub overdue: bool,
     /// A step between two days, where it explains the values better than a line.
     pub step: Option<Step>,
-    /// What it means.
+    /// The trend in words.
     pub sentence: String,
 }
 

@@ -8,7 +8,8 @@
 //! A spindle whose growth lags behind its thermometer; the same with a gain, the speed, the load and another part's
 //! heat besides; and an axis with a wrong slope, a screw's wave and a backlash; each in a process of its own, from
 //! reading the file to the answer. Times are those of this computer: the ratio from line to line is what counts; or
-//! `beside` this example of another version, built before, on the same files, in turn, the least of five times each, of the longest once.
+//! `beside` this example of another version, built before, on the same files, in turn, the least of five times each, of
+//! the longest once.
 #![allow(clippy::print_stdout, clippy::print_stderr, reason = "an example prints its result")]
 
 use std::{
@@ -164,7 +165,7 @@ fn beside(other: &Path) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Returns a file that nobody else writes.
+/// Returns a file that no other process writes.
 fn scratch() -> PathBuf {
     env::temp_dir().join(format!("trueup-speed-{}.csv", std::process::id()))
 }

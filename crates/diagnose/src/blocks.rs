@@ -28,7 +28,7 @@ pub(crate) struct Folds {
     blocks: Blocks,
 }
 
-/// What is left out at once.
+/// The unit that is left out at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Unit {
     Files,
@@ -52,7 +52,7 @@ impl fmt::Display for Unit {
 
 /// Stretches of a record: as many as a claim must gain on at least.
 const STRETCHES: usize = 6;
-/// Whole runs that are left out in turn, at least: of two, one would have to tell all that the other is judged by.
+/// Whole runs that are left out in turn, at least: of two, one would have to show all that the other is judged by.
 const FEWEST_RUNS: usize = 3;
 /// Stretches of equal length, next to those: one cut through a record may fall well or badly for a term, two of
 /// different kinds seldom do alike.
@@ -186,8 +186,8 @@ impl Folds {
 
 /// Stretches of a record that are as long as each other and in which as much happens, half each: of a
 /// warm-up all that can be learned is at its beginning, and a stretch of it that held all of that could
-/// not be foreseen by whatever model. What happens is told by the means of ten parts of a stretch, so
-/// that noise averages out.
+/// not be foreseen by whatever model. How much happens is taken from the means of ten parts of a stretch, so that noise
+/// averages out.
 fn eventful(measured: &[f64], count: usize) -> Vec<usize> {
     let groups = measured.len();
     let parts = stretches(groups, (10 * count).min(groups));
@@ -247,8 +247,8 @@ fn each_left_out(
     (residual, fitted.into_iter().map(|fitted| fitted.model).collect())
 }
 
-/// Where a record begins nobody can foresee how far the machine had settled: the stretch with the start is
-/// foreseen from the `start` that was fitted to the whole. What was measured less that, and the rest of the
+/// How far the machine had settled where a record begins cannot be foreseen: the stretch with the start is foreseen
+/// from the `start` that was fitted to the whole. Returns the problem less the effect of `start`, and the rest of the
 /// model.
 fn begun_as_recorded(problem: &Problem, model: &Model, start: &Part) -> (Problem, Model) {
     let mut rest = model.clone();

@@ -121,7 +121,7 @@ pub(crate) fn columns_in_use(data: &Data, model: &Model) -> Vec<String> {
     used
 }
 
-/// What the pages are shown.
+/// The problem, model and residual that the pages are shown.
 struct Seen<'a> {
     problem: &'a Problem,
     model: &'a Model,

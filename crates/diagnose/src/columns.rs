@@ -38,7 +38,7 @@ pub(crate) fn sum(kind: &Kind, values: &[f64], data: &Data, p: &[f64]) -> Vec<f6
     }
 }
 
-/// What a law reads: the table's columns without gaps.
+/// The columns that a law reads: those of the table, without gaps.
 struct Table<'a> {
     data: &'a Data,
     p: &'a [f64],
@@ -133,7 +133,7 @@ fn at_rows(curve: &Curve, data: &Data, mut add: impl FnMut(usize, usize, f64)) {
     }
 }
 
-/// What the model says of the elongation, as a column.
+/// The name of the column of the elongation by the model.
 pub(crate) const SAID: &str = "what the model says";
 
 /// Returns a column by its name in the file, or one of those that follow from others.

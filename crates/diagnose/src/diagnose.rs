@@ -34,13 +34,13 @@ const FEWEST_GROUPS: usize = 100;
 /// more rows this many are drawn by chance. The last fit is to all of them.
 const MOST_ROWS_MOVING: usize = 3000;
 
-/// What is being tried, and how far the search has come, 0…1 (NaN: as before).
+/// Callback for what is being tried, and how far the search has come, 0…1 (NaN: as before).
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
 
-/// What is asked of a diagnosis next to its files.
+/// Options of a diagnosis.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
-    /// What to compare, where the runs measure several quantities.
+    /// The quantity to compare, where the runs measure several.
     pub quantity: Option<Quantity>,
     /// The size of an error that matters: RMS, in µm, above 0; by default what is left.
     pub matters_um: Option<f64>,
@@ -157,7 +157,7 @@ fn gross_errors(data: &Data, problem: &Problem, found: &Found) -> Vec<bool> {
 }
 
 /// Returns the search on the rows that count and are not set aside: on all of them, on means of neighbours, or
-/// on as many as tell enough. The last fit is to all of them.
+/// on as many as suffice. The last fit is to all of them.
 fn searched(
     data: &Arc<Data>,
     aside: &[bool],
@@ -210,7 +210,7 @@ fn searched(
 
 /// Rows over which the slope of a late thermometer was taken, where they are more than are together already.
 ///
-/// What a mean of rows grows by is the mean of their slopes, noise and bends and all: in groups of this many rows the
+/// The growth of a mean of rows is the mean of their slopes, noise and bends and all: in groups of this many rows the
 /// lag is undone from row to row, exactly, with as little noise as by a slope over all of them, which blurs what
 /// happens in that time.
 fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {

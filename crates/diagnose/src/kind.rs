@@ -1,4 +1,4 @@
-//! What a term of a model is: a cause as its page has it, with its fitted values next to it; or a curve,
+//! The kinds of terms of a model: a cause as its page has it, with its fitted values next to it; or a curve,
 //! which is no cause.
 //!
 //! The values are first those that enter nonlinearly (a time constant, a period, a limit), then
@@ -41,7 +41,7 @@ pub(crate) struct Part {
 }
 
 impl Part {
-    /// Leaves what runs where nobody says the feed.
+    /// Replaces the cause by its form that needs no feed.
     pub(crate) fn forget_feed(&mut self) {
         let Some(cause) = self.kind.cause() else { return };
         let whole = cause.with(&self.values);
@@ -232,7 +232,8 @@ impl Kind {
         self.cause().is_some_and(Effect::has_phase)
     }
 
-    /// Returns whether it comes and goes with the clock: next to a law that is missing, it follows whatever drives that.
+    /// Returns whether it comes and goes with the clock: next to a law that is missing, it follows whatever drives
+    /// that.
     pub(crate) fn is_by_the_clock(&self) -> bool {
         matches!(self.cause(), Some(Effect::PeriodicInTime(_)))
     }

@@ -1,9 +1,9 @@
-//! What the simulation gets wrong, its cause, the model extended by it, and the gain.
+//! The error of the simulation, its cause, the model extended by it, and the gain.
 //!
-//! [`diagnose`] compares a machine file with measured runs. What is left is searched for physical
-//! causes, each a term with parameters; a term is added if it explains more than noise with a memory
-//! would let any term explain, if it predicts blocks that were left out, and as long as something is
-//! left. The form of the answer is fixed (`docs/reference.md`, Diagnosis).
+//! [`diagnose`] compares a machine file with measured runs. The residual is searched for physical causes, each a term
+//! with parameters; a term is added if it explains more than noise with a memory would let any term explain, if it
+//! predicts blocks that were left out, and as long as something is left. The form of the answer is fixed
+//! (`docs/reference.md`, Diagnosis).
 //!
 //! # The flow
 //! [`diagnose`] calls each stage in turn, and each stage only what stands below it:
@@ -34,7 +34,7 @@
 //! | `outliers`, `repeats` | gross errors; what does not come back |
 //! | `judge` | whether a term's name is claimed, and why not |
 //! | `answer`, `parameters`, `terms` | the answer, for scripts and for people |
-//! | `next` | the shortest run that tells open causes apart |
+//! | `next` | the shortest run that distinguishes open causes |
 //! | `named` | causes of other machines, fitted to the runs of this one |
 #![forbid(unsafe_code)]
 
@@ -78,7 +78,7 @@ use trueup_machine::{
 };
 pub use trueup_page::Origin;
 
-/// What is to be done with [`Report::missing_inputs`].
+/// The instruction that goes with [`Report::missing_inputs`].
 pub const MISSING_INPUTS: &str = "the board reads a thermometer, and hears a condition, only where [inputs] says on \
                                   which channel or bit it is: put these lines there, with the channel, kind or bit of \
                                   yours";
@@ -105,7 +105,8 @@ impl Diagnosis {
         serde_json::to_string_pretty(&self.report)
     }
 
-    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed next.
+    /// Returns `report.html`, of a machine of this name, made of what `origin` says. `next` are the lines to be typed
+    /// next.
     #[must_use]
     pub fn html(&self, machine_name: &str, origin: &Origin, next: &[String]) -> String {
         answer::html::html(self, machine_name, origin, next)
@@ -147,7 +148,7 @@ impl Diagnosis {
         self.promise.on(&self.data, std::slice::from_ref(day))
     }
 
-    /// Returns the shortest run, of the spindle or of the axis, that tells what is open apart.
+    /// Returns the shortest run, of the spindle or of the axis, that distinguishes the open causes.
     ///
     /// # Errors
     /// Nothing is open, or no run that was thought of answers it: why.

@@ -21,7 +21,7 @@ use crate::{
     laws::Laws,
 };
 
-/// What settles this many times as fast, or as slowly, is another law.
+/// A law that settles this many times as fast, or as slowly, is another one.
 const ANOTHER_LAW: f64 = 2.0;
 
 /// Terms and a constant, on top of what the machine file says.

@@ -1,8 +1,8 @@
 //! Causes of other machines of the same kind, fitted to the runs of this one: what a series asks of a machine whose own
 //! diagnosis did not find them.
 //!
-//! Nothing is searched and nothing is claimed. The causes of the model are fitted together; each further one is added alone,
-//! fitted with all others. All come back with their intervals, which may include nothing.
+//! Nothing is searched and nothing is claimed. The causes of the model are fitted together; each further one is added
+//! alone, fitted with all others. All come back with their intervals, which may include nothing.
 
 use std::sync::Arc;
 
@@ -63,7 +63,7 @@ impl Named<'_> {
     }
 }
 
-/// What was fitted to the runs of a machine.
+/// The fits of causes to the runs of a machine.
 #[derive(Clone, Debug)]
 pub struct NamedFits {
     /// The causes of the model, all fitted together.

@@ -1,4 +1,4 @@
-//! The shortest run, of the spindle or of an axis, that tells open causes apart: design of experiments by the models
+//! The shortest run, of the spindle or of an axis, that distinguishes open causes: design of experiments by the models
 //! that were fitted.
 //!
 //! ```text
@@ -8,8 +8,8 @@
 //! ```
 //!
 //! Only speeds up to the fastest that the runs have, from cold, and positions between those of the runs are thought
-//! of: there the fitted laws have been seen. A run that was not measured is no proof: the gap is expected under the smaller of the two, and what the
-//! run then shows decides.
+//! of: there the fitted laws have been seen. A run that was not measured is no proof: the gap is expected under the
+//! smaller of the two, and what the run then shows decides.
 
 pub(crate) mod axis;
 pub(crate) mod candidates;
@@ -46,8 +46,8 @@ pub enum Gauge {
 }
 
 impl Gauge {
-    /// Returns the shortest time from reading to reading of a spindle, in s: a person takes half a minute for a row, and for a
-    /// program three rows a minute are enough for what heats.
+    /// Returns the shortest time from reading to reading of a spindle, in s: a person takes half a minute for a row,
+    /// and for a program three rows a minute are enough for what heats.
     fn step_s(self) -> f64 {
         match self {
             Self::Hand => 30.0,
@@ -75,7 +75,7 @@ pub struct Stretch {
     pub load_n: f64,
 }
 
-/// What a run will tell of two causes.
+/// The expected separation of two causes by a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Told {
     /// The cause that was named, and the one that cannot be distinguished from it.
@@ -91,18 +91,18 @@ pub struct Told {
 /// The next run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Next {
-    /// What the spindle does, from cold; none where an axis is measured.
+    /// The stretches of the spindle, from cold; none where an axis is measured.
     pub stretches: Vec<Stretch>,
-    /// What the axis does, where one is measured.
+    /// The measurement of the axis, where one is measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub axis: Option<AxisRun>,
     /// How long all of it lasts.
     pub minutes: f64,
     /// From reading to reading of a spindle, in s; 0: an axis is read at its targets.
     pub every_s: f64,
-    /// What is to be read next to what is measured: the columns of the runs.
+    /// The inputs to record next to the measured quantity: columns of the runs.
     pub inputs: Vec<String>,
-    /// What it tells, the question first that it was chosen for.
+    /// The causes that it separates, the question first that it was chosen for.
     pub told: Vec<Told>,
 }
 
@@ -231,11 +231,11 @@ pub(crate) fn next(
         .unwrap_or(NoNext::NotForeseen("the machine file needs a column that only positions have")))
 }
 
-/// A run that nobody has made.
+/// A run that is not made yet.
 struct Foreseen {
-    /// What is done; what it tells is not known yet.
+    /// The run; the causes that it separates are not known yet.
     next: Next,
-    /// What it will read.
+    /// The table that it will read.
     table: Data,
 }
 

@@ -40,7 +40,7 @@ pub(crate) struct SetAside {
     pub known: Aside,
 }
 
-/// What is known of the rows that are set aside.
+/// The judgement of the rows that are set aside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Aside {
     /// There are none, or they stand at a start, a pause or a change, where the reading may be right and what
@@ -58,7 +58,7 @@ const CLAIM: f64 = 1e-3;
 /// A reading is of another moment if it is nearer to that one's prediction than this share of what it is away from
 /// its own: most of the way is then what happened between the two.
 const NEARER: f64 = 0.5;
-/// Readings on each side of one that tell its level.
+/// Readings on each side of one that show its level.
 const ASIDE: usize = 3;
 
 /// Returns what is known of the rows `aside`. Noise is what is left of the others by the answer with curves over its

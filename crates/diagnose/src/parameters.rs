@@ -17,7 +17,7 @@ use crate::{
     terms,
 };
 
-/// What is known of the values of a part.
+/// The estimated values of a part, and how well they are known.
 pub(crate) struct Estimates {
     /// The values with their 95 % intervals, by the names of the table of causes.
     pub named: Map<String, Value>,

@@ -1,7 +1,7 @@
 //! Readings at equal positions: what repeats, and what does not.
 //!
-//! What scatters is what the model leaves: an axis that grows with its temperature as the model says
-//! repeats. What repeats is looked for in the readings themselves: a machine that does what its model
+//! Scatter is judged by what the model leaves: an axis that grows with its temperature as the model says
+//! repeats. Repetition is looked for in the readings themselves: a machine that does what its model
 //! says repeats, also where nothing else is left but noise.
 
 use std::collections::HashMap;
@@ -206,7 +206,8 @@ pub(crate) struct Repeats {
     pub systematic_um: f64,
 }
 
-/// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that do not come back.
+/// Without the rows that are set `aside`. None where there are too few repeats: less than three runs, or positions that
+/// do not come back.
 pub(crate) fn analyse(data: &Data, predicted: &[f64], aside: &[bool]) -> Option<Repeats> {
     let run = data.run.as_deref()?;
     let own = data.own_position()?;

@@ -176,7 +176,7 @@ fn one_gross_reading_is_told_of_as_one() {
     assert_eq!(gross.evidence[1], "Set aside: row 121.");
 }
 
-/// Returns an hour in which the tool moves by 2 µm at 2010 s, and nobody reads it for `pause_s` before.
+/// Returns an hour in which the tool moves by 2 µm at 2010 s, and is not read for `pause_s` before.
 fn jump(pause_s: i32) -> String {
     let mut noise = Noise(9);
     let mut run = String::from("time_s,temp_a_c,measured_elongation_um\n");

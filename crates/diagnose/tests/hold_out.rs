@@ -1,4 +1,4 @@
-//! A hold-out measures what was found. What makes it worse is not handed out, and the answer says so.
+//! A hold-out measures what was found. A term that makes it worse is not handed out, and the answer says so.
 
 use std::{fmt::Write as _, path::Path};
 

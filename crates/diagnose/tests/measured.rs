@@ -1,4 +1,4 @@
-//! Data that nobody here has made (`docs/measured-data.md`): the causes that are known of them, and
+//! Data recorded by others (`docs/measured-data.md`): the causes that are known of them, and
 //! the figures. Where they are missing a test says so and does nothing.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 

@@ -75,7 +75,7 @@ fn a_scale_of_one_pass_may_be_a_drift_with_a_clock_or_without() {
     assert!(finding(&diagnosed(&pass(true, 2, line)), "pitch-scale").claimed);
 }
 
-/// Returns a chiller that nobody recorded: 3 µm every 23 min; the clock counts from 1970.
+/// Returns a chiller that was not recorded: 3 µm every 23 min; the clock counts from 1970.
 fn chiller(bed_swings: bool) -> String {
     let mut noise = Generator::new(22);
     let mut run = String::from("time_s,temp_bed_c,measured_dz_um\n");
@@ -105,7 +105,7 @@ fn what_comes_and_goes_with_the_clock_is_named_and_not_called_explained() {
     assert_eq!(finding(&diagnosis, "extra-heat-path").column.as_deref(), Some("temp_bed_c"));
 }
 
-/// What wanders along a pass is structure, with a clock or without: noise of 3 µm that remembers fifteen rows, and
+/// A slow drift along a pass is structure, with a clock or without: noise of 3 µm that remembers fifteen rows, and
 /// 0.4 µm from reading to reading.
 #[test]
 fn what_wanders_along_a_pass_is_not_called_clean() {

@@ -87,7 +87,7 @@ fn two_wrong_constants_are_found_behind_a_path_of_heat_that_imitates_both() {
     }
 }
 
-/// What was found before a few rows were set aside is not forgotten when the rest is searched again.
+/// Causes found before a few rows were set aside are not forgotten when the rest is searched again.
 #[test]
 fn what_was_found_is_not_lost_with_a_few_rows() {
     for seed in [128, 254] {
@@ -97,7 +97,7 @@ fn what_was_found_is_not_lost_with_a_few_rows() {
     }
 }
 
-/// Air between the rows that nobody has recorded leaves something behind a lag; a second time constant that may gain
+/// Air between the rows that was not recorded leaves something behind a lag; a second time constant that may gain
 /// nothing where it was left out is not claimed for it.
 #[test]
 fn what_may_gain_nothing_is_not_claimed() {

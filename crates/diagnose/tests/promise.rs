@@ -1,4 +1,4 @@
-//! What an answer promises of the error at the tool on another day, against sums by hand; with thermometers
+//! The promised error at the tool on another day, against sums by hand; with thermometers
 //! that are noisy.
 
 use std::{fmt::Write as _, path::Path};

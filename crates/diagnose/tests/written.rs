@@ -1,4 +1,4 @@
-//! What is written for the board is what the board does: no terms that only hold each other up, and the error
+//! The board does what is written for it: no terms that only hold each other up, and the error
 //! that is said is the one that is left.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
@@ -152,8 +152,8 @@ fn board_leaves_um(machine: &Machine, day: &RunFile, quantity: Quantity) -> f64 
     rms(&left.filter(|um| um.is_finite()).collect::<Vec<f64>>())
 }
 
-/// What is said of the board is what it leaves of the same rows and of other days, and no term that is written
-/// for it makes other days worse.
+/// Checks that the board leaves the error said of it on the same rows and less than 2.5 times as much on other days,
+/// and that no term that is written for it makes other days worse.
 fn board_does_what_is_said(scenario: &str, machine: &str, quantity: Quantity, seed: u64) {
     let believed = MachineFile::parse(machine, Path::new("m.toml")).expect("the test's own file");
     let record = day(scenario, seed);
@@ -202,8 +202,8 @@ fn what_the_board_leaves_of_an_axis_is_what_is_said() {
     board_does_what_is_said(AXIS, SCREW, Quantity::Dy, 1);
 }
 
-/// A height sensor whose line is believed to be another one, and which is bent: the gain and the bend each do more than twice
-/// what was measured, and together what was measured.
+/// A height sensor whose line is believed to be another one, and which is bent: the gain and the bend each do more than
+/// twice what was measured, and together what was measured.
 #[test]
 fn a_gain_and_a_bend_of_a_sensor_are_one_characteristic_and_are_written() {
     let (mut fitted, mut held) =

@@ -1,5 +1,5 @@
 //! Blocks of neighbouring rows, which noise with a memory ties together: left out in turn, or drawn
-//! again and again, they tell what single rows would only pretend to.
+//! again and again, they show what single rows would only pretend to.
 
 use crate::random::Generator;
 
@@ -45,7 +45,7 @@ pub struct Reduction {
     pub is_gain: bool,
 }
 
-/// What of the squares is left less, block by block.
+/// Reduction of the sum of squares, compared block by block.
 #[derive(Clone, Copy, Debug)]
 pub struct Paired {
     /// Σ before² − Σ after², in µm² or whatever the squares are in; negative where more is left.

@@ -12,8 +12,8 @@
 //!   smallest, which up to half of the rows cannot spoil; from there least squares with Tukey's
 //!   biweight at 4.685 scales, which comes near to plain least squares where nothing is wrong (an
 //!   MM estimate).
-//! - **A residual** ([`in_residual`]): what a model leaves, which may still hold a cause that nobody
-//!   has named yet. Each row is compared with the median of its six neighbours and itself.
+//! - **A residual** ([`in_residual`]): what a model leaves, which may still hold a cause that is not named yet. Each
+//!   row is compared with the median of its six neighbours and itself.
 //!
 //! Neither of the tests in order does for the other (measured, `tests/outliers.rs`; 20 runs of 400 rows
 //! with scatter 1, in each 5 gross errors of 40, and what a cause leaves that is not named yet):

@@ -1,4 +1,4 @@
-//! What the normal equations gain over the triangle in time, and lose in digits.
+//! The gain of the normal equations over the triangle in time, and their loss in digits.
 //!
 //! `cargo test --release -p trueup-numerics --test normal_equations -- --show-output` prints the figures
 //! that stand in the page.

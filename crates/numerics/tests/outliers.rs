@@ -13,7 +13,7 @@ use trueup_numerics::{
 const RUNS: usize = 20;
 const ROWS: usize = 400;
 
-/// Returns what is left of a cause that nobody has named yet, at scatter 1.
+/// Returns the residual of a cause that is not named yet, at scatter 1.
 fn left(kind: &str, row: usize) -> f64 {
     let level = |is_there: bool, um: f64| if is_there { um } else { 0.0 };
     match kind {

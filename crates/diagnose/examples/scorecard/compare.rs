@@ -9,10 +9,10 @@
 //! p = min(1, 2·Σ_{k ≤ min(b, c)} C(b + c, k)/2^(b + c))
 //! ```
 //!
-//! and likewise of the draws with a wrong name, and of those with harm where both cards tell it. A cell
-//! with more losses than gains and p below 1 % is worse, and the command ends with 1. The limit holds for each cell by itself, without Bonferroni's
-//! correction: of 200 cells whose answers change by chance alone about one is called worse too often
-//! rather than one overlooked.
+//! and likewise of the draws with a wrong name, and of those with harm where both cards record it. A cell
+//! with more losses than gains and p below 1 % is worse, and the command ends with 1. The limit holds for each cell by
+//! itself, without Bonferroni's correction: of 200 cells whose answers change by chance alone about one is called worse
+//! too often rather than one overlooked.
 
 use std::{collections::BTreeMap, fs, process::ExitCode};
 
@@ -23,7 +23,7 @@ use crate::score::Row;
 /// Below it a cell is worse.
 const LEVEL: f64 = 0.01;
 
-/// What one draw was worth.
+/// The score of one draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Draw {
     is_right: bool,
@@ -32,7 +32,7 @@ pub struct Draw {
     within: (usize, usize),
     /// Share of the possible gain on the hold-out; NaN: none to be had, or not all claimed.
     gain: f64,
-    /// None: a card that does not tell.
+    /// None: the card does not record it.
     is_harmed: Option<bool>,
 }
 
@@ -50,7 +50,7 @@ pub struct Draws {
 }
 
 const HEADER: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain\tharm";
-/// What a card began with that does not tell of harm.
+/// The header of a card that does not record harm.
 const WITHOUT_HARM: &str = "ratio\thidden\tseed\tright\twrong\tinside\tintervals\tgain";
 
 impl Draws {
@@ -179,7 +179,7 @@ fn mcnemar(b: usize, c: usize) -> f64 {
     (2.0 * sum).min(1.0)
 }
 
-/// What a cell lost and gained of one property.
+/// The draws of a cell that lost and gained one property.
 struct Change {
     lost: Vec<u64>,
     gained: Vec<u64>,

@@ -52,7 +52,7 @@ use compare::Draws;
 use score::{Row, Score, answer, score};
 use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
-/// What is asked for.
+/// Arguments of the command.
 pub(crate) struct Asked {
     ratios: Vec<f64>,
     seeds: u64,

@@ -4,7 +4,7 @@ use std::{fs, ops::Range, path::PathBuf, process::ExitCode};
 
 use crate::compare::Draws;
 
-/// What is asked of a tier.
+/// Options of a tier.
 pub struct Options {
     pub each: bool,
     seeds: u64,

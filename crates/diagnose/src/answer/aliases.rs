@@ -1,4 +1,4 @@
-//! The measurement that tells a value of a cause from others that do as well: at which positions, or times.
+//! The measurement that distinguishes a value of a cause from others that do as well: at which positions, or times.
 
 use trueup_machine::effect::Nonlinear;
 

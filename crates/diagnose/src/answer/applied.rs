@@ -1,7 +1,7 @@
 //! The CNC's part of an answer: a factor other than 1 by which it applied the offsets of a bridge, and causes that a
-//! record of an engaged bridge cannot tell from such a factor.
+//! record of an engaged bridge cannot distinguish from such a factor.
 //!
-//! What is measured with a bridge is error + factor·offset. Where rows with and without the offset exist, the factor
+//! A reading with an engaged bridge is error + factor·offset. Where rows with and without the offset exist, the factor
 //! is known ([`trueup_machine::applied`]) and is taken out before anything is searched. Where they do not, the answer
 //! holds with a factor of 1 alone: each of its terms is tried against a factor that is free,
 //!
@@ -47,14 +47,14 @@ const CAUSE: &str = "applied-factor";
 /// offset does not have.
 const IMITATION: f64 = 0.05;
 
-/// What a bridge applied while the runs were measured.
+/// The offsets of a bridge in the runs, and how they were applied.
 pub(crate) struct Bridge {
     applied: Applied,
     /// The offset of each row of the runs, in µm; 0 where it is not known.
     offset_um: Vec<f64>,
 }
 
-/// What the factor leaves open.
+/// Doubts that the factor leaves.
 pub(crate) enum Open {
     Nothing,
     /// It is known, and not 1.

@@ -1,4 +1,4 @@
-//! What the answer promises: the error at the tool on a day, as it is and with the extended file on the
+//! The promise of an answer: the error at the tool on a day, as it is and with the extended file on the
 //! board.
 //!
 //! A reading holds the noise of the gauge, the tool does not; and another day asks for more or less of what
@@ -13,8 +13,8 @@
 //! before² = mean c² + left²  c: what the extended file corrects more than the file as it is
 //! ```
 //!
-//! The zero of an axis's measurement is arbitrary and does not count. What is not the machine's is not foreseen: a
-//! promise is for what the board corrects.
+//! The zero of an axis's measurement is arbitrary and does not count. Errors that are not the machine's are not
+//! foreseen: a promise is for what the board corrects.
 
 use std::sync::Arc;
 
@@ -37,7 +37,7 @@ const MOST_ROWS: usize = 20_000;
 const ENOUGH_ROWS: usize = 2_000;
 const MOST_DRAWS: usize = 4;
 
-/// What a promise is reckoned from.
+/// The model that a promise is computed from, and its uncertainty.
 #[derive(Clone, Debug)]
 pub(crate) struct Grounds {
     /// As the board runs it.

@@ -1,4 +1,4 @@
-//! What the model says between the places where the axis was measured: evaluated densely, so that a wave
+//! The model between the places where the axis was measured: evaluated densely, so that a wave
 //! between them shows.
 
 use std::sync::Arc;

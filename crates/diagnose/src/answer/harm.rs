@@ -1,4 +1,4 @@
-//! What is written never leaves the rows worse that it was fitted to.
+//! Check that the written terms do not make the rows worse that they were fitted to.
 
 use trueup_numerics::blocks::rms;
 

@@ -11,13 +11,13 @@
 //! floor = 1 − √ρ₉₅
 //! ```
 //!
-//! Where the zero shifts from part to part (its variance is u²), a day may have any of these shifts, and a few parts say
-//! little of them: the floor allows for (Ā − mean mₚ² + u²·t₉₅²·(1 + 1/k))/B̄ too, mₚ the mean of what is left in a part.
-//! Nor is the floor above that of a day on which what is left is twice as much of what is corrected (mean squares): it may
-//! ask for less than the record did, and its noise is its own.
+//! Where the zero shifts from part to part (its variance is u²), a day may have any of these shifts, and a few parts
+//! say little of them: the floor allows for (Ā − mean mₚ² + u²·t₉₅²·(1 + 1/k))/B̄ too, mₚ the mean of what is left in a
+//! part. Nor is the floor above that of a day on which what is left is twice as much of what is corrected (mean
+//! squares): it may ask for less than the record did, and its noise is its own.
 //! A machine also changes with the days, which parts in the middle do not show: the floor is at most what a fit to the
-//! first half, or to the first two thirds, foresaw of the rest, where the inputs of the rest lie within theirs; and what
-//! is expected is the median of the three.
+//! first half, or to the first two thirds, foresaw of the rest, where the inputs of the rest lie within theirs; and
+//! what is expected is the median of the three.
 //!
 //! All are about the file's own zero; `zero_again` takes the mean of the first three readings of a part off both.
 
@@ -41,8 +41,8 @@ use crate::{
 
 /// One-sided: the share of days on which the floor is kept.
 const KEPT: f64 = 0.95;
-/// What is left over what is corrected, of a new day over that of the record (mean squares): 90 % of simulated days leave
-/// at most 2.1 to 2.2 times the record's share of what was there (`--example promise`).
+/// The share left over what is corrected, of a new day over that of the record (mean squares): 90 % of simulated days
+/// leave at most 2.1 to 2.2 times the record's share of what was there (`--example promise`).
 const NEW_DAY: f64 = 2.0;
 /// The rest of a record lies within its beginning up to this share of the range ([`crate::answer::worse`]).
 const BEYOND: f64 = 0.1;
@@ -55,7 +55,7 @@ pub(super) struct LeftOutParts<'p> {
     pub folds: &'p Folds,
     /// The terms of the board, as they are fitted.
     pub model: &'p Model,
-    /// What was left of parts that took no part in the choice of the terms; none: the values alone are fitted again.
+    /// Residuals of parts that took no part in the choice of the terms; none: the values alone are fitted again.
     pub foreseen: Option<&'p Foreseen>,
     /// Mean square that the groups of the problem average away, in µm².
     pub within: f64,
@@ -325,7 +325,8 @@ mod tests {
         assert!((at_tool.reduction - (1.0 - (1.0_f64 / 7.0).sqrt())).abs() < 1e-12, "{at_tool:?}");
     }
 
-    /// By hand: shifts of +1 and −1 µm, so that u² = 1·½, t₉₅(1)² = 39.86, and a day may have ½·39.86·1.5 − 1 = 28.9 µm² more.
+    /// By hand: shifts of +1 and −1 µm, so that u² = 1·½, t₉₅(1)² = 39.86, and a day may have ½·39.86·1.5 − 1 = 28.9
+    /// µm² more.
     #[test]
     fn a_zero_that_shifts_from_part_to_part_lowers_the_floor() {
         let sums = Sums { before: vec![100.0; 2], after: vec![1.0; 2], shifts: vec![1.0, -1.0] };

@@ -4,7 +4,7 @@ use trueup_machine::{Machine, inputs::SensorInput};
 
 use crate::answer::report::Finding;
 
-/// What inputs for 0–10 V or ±10 V have for their full scale: an S7 analogue input (rated range, SIMATIC
+/// Full scales of inputs for 0–10 V or ±10 V: an S7 analogue input (rated range, SIMATIC
 /// manual, representation of analogue values), and one of 15 bits and a sign.
 const FULL_SCALES: [(f64, &str); 2] =
     [(27_648.0, "an S7 analogue input"), (32_768.0, "an input of 16 bits")];

@@ -1,4 +1,4 @@
-//! A hold-out: what it must have, and what must be told of it.
+//! A hold-out: the columns that it must have, and whether it is new.
 
 use std::collections::HashSet;
 

@@ -1,4 +1,5 @@
-//! Limits that the measured range sets to a term, and to all of them in every state: more is taken back by another term.
+//! Limits that the measured range sets to a term, and to all of them in every state: more is taken back by another
+//! term.
 //!
 //! The states are those of [`envelope`]: after a start, after a stop, at the corners of the recorded inputs.
 
@@ -21,7 +22,7 @@ use crate::{
 /// A term does at most this many times what was measured: two terms of which each explains all and the other
 /// takes it back.
 const MOST_TIMES: f64 = 2.0;
-/// What is predicted in a state that was not measured leaves the measured range by at most this many times its
+/// A prediction in a state that was not measured leaves the measured range by at most this many times its
 /// width.
 const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
@@ -33,7 +34,7 @@ fn impossible(machine: &Machine) -> Vec<Finding> {
     findings.filter(|it| it.grade == Grade::Impossible).collect()
 }
 
-/// What was measured, and in which states of the inputs.
+/// The ranges of the measured values and of the inputs.
 pub(super) struct Measured<'m> {
     machine: &'m Machine,
     quantity: Quantity,
@@ -44,7 +45,7 @@ pub(super) struct Measured<'m> {
     range_um: [f64; 2],
     /// Whether `compile` refuses the machine file already.
     is_refused: bool,
-    /// What of the machine file no machine can have.
+    /// Keys of the machine file whose values no machine can have.
     impossible: Vec<String>,
 }
 

@@ -84,30 +84,30 @@ pub struct Diagnosis {
     /// in it, from 0.
     pub corrected: Vec<(usize, Term)>,
     pub(crate) data: Arc<Data>,
-    /// What the machine file as it is predicts of each row, in µm.
+    /// The current machine file's prediction of each row, in µm.
     pub(crate) before: Vec<f64>,
-    /// What the extended one predicts, in µm.
+    /// The extended one's prediction of each row, in µm.
     pub(crate) after: Vec<f64>,
     /// Rows that were set aside.
     pub(crate) aside: Vec<bool>,
     /// Whether the noise of a reading is known from its repeats.
     pub(crate) noise_is_measured: bool,
     pub(crate) promise: at_tool::Grounds,
-    /// What is open, and the runs as they were read: for the run that comes next.
+    /// The open questions, and the runs as they were read: for the run that comes next.
     pub(crate) questions: Vec<Question>,
     pub(crate) runs: Vec<RunFile>,
 }
 
-/// What the answer depends on next to what was found.
+/// Inputs of the answer next to the result of the search.
 pub(crate) struct Asked<'a> {
     /// The runs, as files.
     pub runs: &'a [RunFile],
     pub hold_out: Option<&'a HoldOut<'a>>,
     /// The size of an error that matters: RMS, in µm; by default what is left.
     pub matters_um: Option<f64>,
-    /// What a bridge applied.
+    /// The offsets that a bridge applied.
     pub bridge: &'a Bridge,
-    /// What must be told of the files, a sentence each.
+    /// Notes on the files, a sentence each.
     pub notes: Vec<String>,
 }
 
@@ -393,8 +393,8 @@ fn without_all<'c>(
     if kept.parts.is_empty() { Model::default() } else { kept }
 }
 
-/// Returns the model as the board runs it: without what only happened once, and what is not the machine's; and it
-/// is not told the feed.
+/// Returns the model as the board runs it: without what only happened once, and what is not the machine's; and in the
+/// form that needs no feed.
 fn compensated(model: &Model) -> Model {
     let mut compensated = model.clone();
     compensated.parts.retain(|part| part.kind.is_compensated());

@@ -1,4 +1,4 @@
-//! What to measure next, if the runs do not have it already.
+//! The measurement to make next, if the runs do not have it already.
 //!
 //! A cause's page says which measurement would settle what is open about it. Where the runs are such a
 //! measurement, it is not asked for again.
@@ -20,7 +20,7 @@ const FROM_EACH_SIDE: usize = 7;
 const PLACES: usize = 3;
 /// The pages ask for a record this many times as long as the time constant.
 const TIMES_AS_LONG: f64 = 3.0;
-/// What is within this share of the travel of an end is at the end.
+/// A position within this share of the travel of an end is at the end.
 const END: f64 = 0.1;
 
 /// `asked`, or what remains where `problem` has that already.

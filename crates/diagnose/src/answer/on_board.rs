@@ -1,4 +1,4 @@
-//! What the board leaves of a record: its own arithmetic on the rows that were measured.
+//! The residual of a record on the board: its own arithmetic on the rows that were measured.
 
 use trueup_machine::{Machine, RunFile, predict::Predictor};
 

@@ -80,7 +80,7 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
     out.push_str("</div>\n");
 }
 
-/// What the pictures are over.
+/// The horizontal axis of the pictures.
 #[derive(Clone, Copy)]
 enum Over {
     Position(LinearAxis),
@@ -121,7 +121,7 @@ impl Over {
     }
 }
 
-/// What is left against every column that changes, small.
+/// Writes small pictures of the residual against every column that changes.
 pub(super) fn against_inputs(diagnosis: &Diagnosis, out: &mut String) {
     let data = &diagnosis.data;
     let rows: Vec<usize> =

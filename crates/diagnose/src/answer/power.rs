@@ -1,4 +1,4 @@
-//! What would have been seen: the power of the diagnosis, and the smallest measurement that would do.
+//! The power of the diagnosis: which errors it would have found, and the smallest measurement that would do.
 //!
 //! Both questions are answered by the noncentral F distribution. An error of the root mean square δ that
 //! repeats, in n rows whose noise is σ, has the noncentrality λ = n·(δ/σ)².
@@ -10,7 +10,7 @@
 //!   worst.
 //!
 //! An axis that was measured once, without a clock, and whose error goes on from position to position, is
-//! neither: that is what an uneven screw looks like, and noise with a memory. A second pass tells.
+//! neither: an uneven screw looks like that, and so does noise with a memory. A second pass distinguishes them.
 
 use std::{collections::BTreeSet, fmt};
 
@@ -40,10 +40,10 @@ const COVERAGE: f64 = 2.0;
 /// ISO 230-2: five targets at the least, five cycles from both sides.
 const ISO_CYCLES: usize = 5;
 const ISO_TARGETS: usize = 5;
-/// Nobody measures more.
+/// No longer record is considered.
 const MOST_ROWS: usize = 1_000_000;
 
-/// What would have been seen.
+/// The power of a diagnosis.
 #[derive(Clone, Debug)]
 pub(crate) struct Power {
     /// An error of this size that repeats would have been found with 95 %: RMS, in µm, no more than what is
@@ -58,7 +58,7 @@ pub(crate) struct Power {
     pub is_of_instrument: bool,
     /// The rows that there are.
     pub rows: usize,
-    /// What would do.
+    /// The smallest measurement that would do.
     pub needed: Needed,
 }
 

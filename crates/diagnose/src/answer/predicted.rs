@@ -34,10 +34,10 @@ const MOST_TERMS: usize = 16;
 /// As harm on a hold-out: more than this times what the file leaves.
 const HARM: f64 = 1.05;
 
-/// What became of the choice.
+/// The result of the choice of the written terms.
 #[derive(Default)]
 pub(super) struct Choice {
-    /// What the written terms left of parts that took no part in their choice, where that was seen.
+    /// Residuals of the written terms on parts that took no part in their choice, where those were computed.
     pub foreseen: Option<Foreseen>,
     /// Whether they were chosen for prediction.
     pub is_predicted: bool,
@@ -49,7 +49,8 @@ pub(super) fn is_settled(found: &Found, judged: &[Judgement], wanders: bool) -> 
 }
 
 impl Written {
-    /// Writes what foresees left-out parts best; `judged` are the named terms, of which `joint` is handed out, measured in
+    /// Writes what foresees left-out parts best; `judged` are the named terms, of which `joint` is handed out, measured
+    /// in
     /// `runs`.
     pub(super) fn choose(
         &mut self,

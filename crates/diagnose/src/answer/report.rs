@@ -15,7 +15,7 @@ pub struct Report {
     pub rows: usize,
     /// Rows that were both measured and predicted, and not set aside.
     pub rows_used: usize,
-    /// What was compared.
+    /// The compared quantity.
     pub quantity: String,
     /// The noise of one reading, in µm: what no model could explain.
     pub noise_um: f64,
@@ -24,34 +24,33 @@ pub struct Report {
     /// An error of this size that repeats would have been found with 95 %: RMS, in µm; null where there
     /// are too few rows for any.
     pub detectable_um: f64,
-    /// What of the rest wanders slowly, where it does.
+    /// The slow drift in the rest, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wandering: Option<Wandering>,
-    /// What the machine file as it is leaves.
+    /// Errors with the current machine file.
     pub before: Before,
-    /// What the extended one leaves.
+    /// Errors with the extended one.
     pub after: After,
-    /// What is promised of the error at the tool on days like those of the runs.
+    /// The promised error at the tool on days like those of the runs.
     pub at_tool: AtTool,
-    /// What is promised of a reading on such days; none where nothing is corrected.
+    /// The promised error of a reading on such days; none where nothing is corrected.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_out: Option<HeldOut>,
-    /// What came out.
+    /// The overall result.
     pub verdict: Verdict,
     /// Why, a sentence each.
     pub reasons: Vec<String>,
-    /// What the reader must know of the files, and what of them was set aside before anything was
-    /// compared, a sentence each.
+    /// Notes on the files, and on what of them was set aside before anything was compared, a sentence each.
     pub notes: Vec<String>,
     /// Whether the hold-out has chosen what is handed out: then its figures are no longer those of data
     /// that nothing was chosen by.
     pub holdout_used: bool,
-    /// What is not handed out because the hold-out became worse by it.
+    /// Terms that are not handed out because the hold-out became worse by them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
     /// In the order in which they were added.
     pub findings: Vec<Finding>,
-    /// What a figure reminds of, and how to check it, a sentence each; nothing hangs on it.
+    /// Possible origins of a figure, and how to check them, a sentence each; no result depends on them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub hints: Vec<String>,
     /// The lines that `[inputs]` of the extended machine file lacks for the board to correct by it; a machine file
@@ -62,7 +61,7 @@ pub struct Report {
     pub rejected: Vec<Rejected>,
 }
 
-/// What is left and wanders slowly, without going with anything that was recorded.
+/// A slow drift of the residual that is correlated with nothing recorded.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Wandering {
     /// Root mean square of its slow part, in µm.
@@ -108,8 +107,8 @@ pub struct After {
     pub holdout_rms_um: f64,
     /// The same with only the terms that are written for the board.
     pub compensated_holdout_rms_um: f64,
-    /// What the board leaves of these rows with the extended file, by its own arithmetic: root mean square. It is
-    /// what is promised of a reading on a day like these.
+    /// Errors of the board with the extended file on these rows, by its own arithmetic: root mean square. It is what is
+    /// promised of a reading on a day like these.
     pub compensated_rms_um: f64,
     /// The largest of it.
     pub compensated_max_um: f64,
@@ -144,8 +143,8 @@ impl AtTool {
     }
 }
 
-/// What a gauge would read on another day like these, RMS in µm: from parts of the record that took no part in the fit.
-/// Present whenever the extended file corrects something.
+/// Errors that a gauge would read on another day like these, RMS in µm: from parts of the record that took no part in
+/// the fit. Present whenever the extended file corrects something.
 #[derive(Clone, Debug, Serialize)]
 pub struct HeldOut {
     /// About the file's own zero.
@@ -199,7 +198,7 @@ pub struct Figures {
     pub reduction_floor95: f64,
 }
 
-/// What came out.
+/// The overall result of a diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
@@ -213,7 +212,7 @@ pub enum Verdict {
     Unexplained,
     /// The machine does not repeat.
     DoNotCompensate,
-    /// What explains the runs makes the hold-out worse.
+    /// The model that explains the runs makes the hold-out worse.
     DoesNotTransfer,
     /// A hold-out gains less than the floor of what was promised.
     FallsShort,
@@ -279,7 +278,7 @@ pub struct Finding {
     /// The range in which alone it acts.
     #[serde(rename = "where", skip_serializing_if = "Option::is_none")]
     pub within: Option<Range>,
-    /// Whether the data tell it from all other causes.
+    /// Whether the data distinguish it from all other causes.
     pub claimed: bool,
     /// Whether the board corrects it.
     pub compensated: bool,
@@ -287,7 +286,7 @@ pub struct Finding {
     pub confidence: f64,
     /// By name, with units in the names.
     pub parameters: serde_json::Map<String, serde_json::Value>,
-    /// What it brings.
+    /// Errors without it and with it, and their reduction.
     pub gain: Gain,
     /// The cause in a sentence.
     pub sentence: String,
@@ -296,7 +295,7 @@ pub struct Finding {
     /// Causes that are only certain together with it: one finding of two terms.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub together_with: Vec<Partner>,
-    /// What else was tried in its place.
+    /// Alternatives that were tried in its place.
     pub rivals: Vec<Rival>,
     /// The measurement that would settle what is still open.
     pub next_test: String,
@@ -341,9 +340,9 @@ pub struct Rejected {
     pub column: Option<String>,
     /// Why.
     pub reason: String,
-    /// What would be left with it, in µm.
+    /// The error that would be left with it: RMS, in µm.
     pub rms_um: f64,
-    /// What would be left on left-out blocks, in µm, where that was worked out.
+    /// The error that would be left on left-out blocks: RMS, in µm, where that was worked out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub left_out_um: Option<f64>,
 }

@@ -16,15 +16,15 @@ use crate::{
 pub(super) struct Shortfall {
     /// The floor that was promised.
     pub floor: f64,
-    /// What the hold-out gained.
+    /// The reduction on the hold-out.
     pub came: f64,
     /// The upper end of its 95 % interval.
     pub most: f64,
-    /// What is different there, a sentence each.
+    /// Differences of the hold-out from the runs, a sentence each.
     pub places: Vec<String>,
 }
 
-/// What a hold-out is held against.
+/// The promise that a hold-out is compared with.
 pub(super) struct Promised {
     /// The floor of the reduction.
     pub floor: f64,

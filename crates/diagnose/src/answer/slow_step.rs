@@ -1,7 +1,7 @@
 //! How long a step took: something that creeps, or a hand that pushes, is slower than a reading.
 //!
-//! Around the step's instant a ramp between the two levels is put through the readings, over each pair of rows that may be
-//! its ends. It is told where it leaves clearly less than the step at once does, and takes longer than two rows.
+//! Around the step's instant a ramp between the two levels is put through the readings, over each pair of rows that may
+//! be its ends. It is reported where it leaves clearly less than the step at once does, and takes longer than two rows.
 
 use serde_json::json;
 use trueup_machine::effect::Effect;
@@ -11,11 +11,12 @@ use crate::{data::Data, kind::Part};
 
 /// Rows before and after that are looked at.
 const NEAR: usize = 40;
-/// A ramp has two ends where a step has one instant: this many times the squares of a reading's noise must it leave less.
+/// A ramp has two ends where a step has one instant: this many times the squares of a reading's noise must it leave
+/// less.
 const BETTER: f64 = 12.0;
 
-/// Adds to the finding of a step how long it took, where it was slower than a reading; `after` is what the answer says of
-/// each row, in µm.
+/// Adds to the finding of a step how long it took, where it was slower than a reading; `after` is what the answer says
+/// of each row, in µm.
 pub(super) fn tell_duration(finding: &mut Finding, part: &Part, data: &Data, after: &[f64]) {
     let Some(Effect::Step(step)) = part.cause() else { return };
     let Some(duration_s) = duration_s(step.at_s, step.size_um, data, after) else { return };

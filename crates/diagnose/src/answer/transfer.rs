@@ -23,19 +23,18 @@ use crate::{
 /// Harm: a hold-out becomes worse than this times what the machine file as it is leaves (RMS). The
 /// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).
 const HARM: f64 = 1.05;
-/// What is the same but for rounding.
+/// Values within this factor are the same but for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
-/// What became of a model on a hold-out.
+/// The result of a model on a hold-out.
 pub(super) struct Transfer {
-    /// What is handed out.
+    /// The model that is handed out.
     pub model: Model,
     /// The causes of the terms that are not.
     pub dropped: Vec<Kind>,
     /// Whether the model as it was found is not the machine's, and with it no name in it is claimed.
     pub is_disproved: bool,
-    /// What the machine file as it is leaves on the hold-out, and the model as it was found: RMS, in
-    /// µm.
+    /// Errors on the hold-out with the current machine file, and with the model as it was found: RMS, in µm.
     pub before_um: f64,
     pub found_um: f64,
     /// Where it is worse, a sentence each; empty where no term is dropped.

@@ -1,4 +1,4 @@
-//! What a model leaves on data that nothing was fitted to: a hold-out, else the left-out blocks.
+//! The residual of a model on data that nothing was fitted to: a hold-out, else the left-out blocks.
 //!
 //! A hold-out is compared as its file stands, before and after alike: a model keeps the zero that it was
 //! fitted with, and never takes a new one to look better. Where blocks of the runs themselves are left

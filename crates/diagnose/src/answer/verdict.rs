@@ -23,7 +23,7 @@ use crate::{
 /// the instrument.
 const REPEATABLE_UM: f64 = 5.0;
 
-/// What wanders is structure where it is larger than what differs from reading to reading by more than this factor: it
+/// A slow drift is structure where it is larger than what differs from reading to reading by more than this factor: it
 /// remembers more than three readings.
 const SLOWER: f64 = 2.0;
 
@@ -42,9 +42,9 @@ pub(crate) enum Reason {
     /// The terms were chosen for what they foresee.
     Predicted,
     OnlyNoise,
-    /// What is left is as small as what the instrument is worth.
+    /// The residual is as small as the uncertainty of the instrument.
     OfInstrument,
-    /// What comes and goes with the clock is driven by something that was not recorded.
+    /// A term that comes and goes with the clock is driven by something that was not recorded.
     ByTheClock,
     /// No error of a size that matters could have been distinguished from noise.
     TooLittle(Power),
@@ -67,7 +67,7 @@ pub(crate) enum Reason {
         came: f64,
         most: f64,
     },
-    /// What is different there.
+    /// A difference of the hold-out from the runs.
     DiffersIn(String),
     /// The hold-out is a little worse.
     NoGainUnseen {
@@ -145,7 +145,7 @@ impl fmt::Display for Reason {
     }
 }
 
-/// What a verdict rests on.
+/// Evidence for a verdict.
 pub(super) struct Grounds<'g> {
     pub found: &'g Found,
     pub judged: &'g [Judgement],
@@ -154,11 +154,11 @@ pub(super) struct Grounds<'g> {
     pub repeats: Option<&'g Repeats>,
     pub power: &'g Power,
     pub wandering: Option<&'g Wandering>,
-    /// What differs from one reading to the next, as a standard deviation of each, in µm.
+    /// Scatter from one reading to the next, as a standard deviation of each, in µm.
     pub between_neighbours_um: f64,
-    /// What the instrument is worth, in µm (95 %), where that is known.
+    /// The expanded uncertainty of the instrument (95 %), in µm, where that is known.
     pub instrument_um: Option<f64>,
-    /// What became of the answer on a hold-out.
+    /// The result of the answer on a hold-out.
     pub transfer: Option<&'g Transfer>,
     /// How the hold-out falls short of the promise, if it does.
     pub shortfall: Option<&'g Shortfall>,
@@ -257,8 +257,9 @@ fn of_nothing_found(grounds: &Grounds<'_>, mut reasons: Vec<Reason>) -> (Verdict
 }
 
 impl Grounds<'_> {
-    /// Returns whether what wanders is larger than what differs from reading to reading, where nobody says what the
-    /// instrument is worth: the noise of an instrument is that between neighbours, and what is slower is structure.
+    /// Returns whether what wanders is larger than what differs from reading to reading, where the instrument's
+    /// uncertainty is not known: the noise of an instrument is that between neighbours, and what is slower is
+    /// structure.
     fn wanders_beyond_neighbours(&self) -> bool {
         let wandering = self.wandering.map_or(0.0, |wandering| wandering.rms_um);
         self.instrument_um.is_none() && wandering > SLOWER * self.between_neighbours_um

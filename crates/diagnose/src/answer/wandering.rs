@@ -1,4 +1,4 @@
-//! What is left and wanders slowly, without going with anything that was recorded.
+//! A slow drift of the residual that is correlated with nothing recorded.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ pub(crate) struct Wandering {
     pub rms_um: f64,
     /// Its correlation time.
     pub memory: Memory,
-    /// What was not recorded and may be behind it.
+    /// Inputs that were not recorded and may be behind it.
     to_record: Vec<&'static str>,
 }
 
@@ -47,8 +47,8 @@ impl Memory {
 }
 
 impl Wandering {
-    /// Of what `found` leaves, where there is time, or rows follow each other along one pass, and nothing of it goes with
-    /// what was recorded.
+    /// Of what `found` leaves, where there is time, or rows follow each other along one pass, and nothing of it goes
+    /// with what was recorded.
     pub(super) fn of(problem: &Problem, found: &Found) -> Option<Self> {
         let has_clock = problem.data.time_s.is_some();
         if !(has_clock || problem.data.is_one_pass) || !found.lack_of_fit.is_empty() {

@@ -1,8 +1,8 @@
-//! What is written: the terms that the board runs, fitted as it runs them.
+//! The written terms: those that the board runs, fitted as it runs them.
 //!
 //! A diagnosis explains a record with all that helps: a drift, a jump, an error of the instrument. The board
-//! runs none of these, so a term next to them may be anything that they take back. What is written is therefore
-//! held against what was measured:
+//! runs none of these, so a term next to them may be anything that they take back. The written terms are therefore
+//! compared with what was measured:
 //!
 //! ```text
 //! joint fit ─► without a term whose size is not known next to the others, or that gains nothing on left-out blocks
@@ -11,9 +11,9 @@
 //!           ─► nothing, where the same rows or left-out blocks gain nothing by it
 //! ```
 //!
-//! What the board does not run stays in the fit: a gauge that drifts would otherwise be written as growth, which
-//! another day does not have (up to seven times the error on simulated spindles). What it does on the same rows
-//! without them is what is promised.
+//! Terms that the board does not run stay in the fit: a gauge that drifts would otherwise be written as growth, which
+//! another day does not have (up to seven times the error on simulated spindles). The promise is what the board does on
+//! the same rows without them.
 //!
 use std::sync::Arc;
 
@@ -40,15 +40,15 @@ const FAR: f64 = 6.0;
 /// Most of the readings that may be so.
 const MOST_FAR: f64 = 0.05;
 
-/// What is written of an answer.
+/// The written terms of an answer, and those that are not.
 pub(crate) struct Written {
     /// The terms that the board runs.
     pub board: Model,
-    /// What only explains, fitted next to them; with a constant of its own.
+    /// The terms that only explain, fitted next to them; with a constant of their own.
     pub explains: Model,
     /// The problem without what the file has and the board does not run, where there is such.
     own: Option<Problem>,
-    /// What is not written though the board could run it, and why.
+    /// Causes that are not written though the board could run them, and why.
     pub left: Vec<(Kind, NotWritten)>,
 }
 
@@ -174,7 +174,7 @@ impl Written {
     }
 
     /// Writes nothing where that is worse on the rows that it was fitted to, or, of terms of which none is claimed,
-    /// does not foresee left-out blocks better. What stood next to terms that have left is fitted once more before.
+    /// does not foresee left-out blocks better. Terms that stood next to dropped ones are fitted once more before.
     fn drop_what_gains_nothing(&mut self, problem: &Problem, found: &Found, judged: &[Judgement]) {
         if self.board.parts.is_empty() {
             return;

@@ -147,7 +147,7 @@ pub(super) fn set_aside(data: &mut Data, runs: &[&RunFile]) {
 }
 
 /// Returns the stretches of a file between jumps at these rows that are not at the level of the longest, each
-/// with how much higher it is. Nobody knows whether the thermometer is still at its place there: they do
+/// with how much higher it is. Whether the thermometer is still at its place there is not known: they do
 /// not count, and are moved to that level only for what has a memory.
 fn other_levels(rows: &Range<usize>, jumps: &[(usize, f64)]) -> Vec<(Range<usize>, f64)> {
     let mut level = 0.0;

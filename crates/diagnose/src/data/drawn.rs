@@ -28,8 +28,8 @@ impl Data {
     }
 
     /// Means of neighbouring rows of each of `groups`, and the groups that these make; none where a
-    /// group has not twice as many rows. What has a memory is still stepped through all rows: what is
-    /// linear in the columns stays exact.
+    /// group has not twice as many rows. Laws with a memory are still stepped through all rows: what is linear in the
+    /// columns stays exact.
     pub(crate) fn condensed(self: &Arc<Self>, groups: &Groups) -> Option<(Self, Groups)> {
         (groups.size > 2 * PIECES).then(|| {
             let (pieces, whole) = groups.rows.cut(PIECES);

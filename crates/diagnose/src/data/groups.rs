@@ -5,7 +5,7 @@ use trueup_numerics::noise::Steps;
 use super::{row_blocks::RowBlocks, table::Data};
 
 /// Rows put together for the search: `size` neighbours of one series are one group, so that its cost
-/// does not depend on how often a slow thing was written down. What is linear stays exact: means of
+/// does not depend on how often a slow thing was written down. Linear laws stay exact: means of
 /// what was measured are compared with means of what is predicted.
 #[derive(Clone, Debug)]
 pub(crate) struct Groups {

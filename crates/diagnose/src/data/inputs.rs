@@ -1,7 +1,8 @@
 //! Which of the columns that the project does not know are inputs that an error may depend on.
 //!
 //! Not clocks, which only grow with the rows, nor columns that reproduce what was measured: either would
-//! explain an error that it has no part in. What a bridge or a gauge writes about the record is no input either.
+//! explain an error that it has no part in. Columns that a bridge or a gauge writes about the record are no inputs
+//! either.
 
 use super::table::Data;
 
@@ -14,7 +15,8 @@ pub(super) fn is_of_record(name: &str) -> bool {
     is_offset || ["quality", "calibration_crc", "check_um"].contains(&name)
 }
 
-/// Keeps the inputs among the other columns, and notes what is none. What a term of the machine file reads stays.
+/// Keeps the inputs among the other columns, and notes what is none. Columns that a term of the machine file reads
+/// stay.
 pub(super) fn retain(data: &mut Data) {
     let needed = trueup_machine::model::required_columns(&data.machine);
     let others = std::mem::take(&mut data.others);

@@ -46,7 +46,7 @@ fn add(sum: &mut Series, other: &Series) {
     sum.iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
 }
 
-/// What all columns of a table share: its pieces and their times.
+/// The pieces of a table and their times, shared by all its columns.
 #[derive(Debug)]
 pub(super) struct Clock {
     pieces: Vec<Piece>,
@@ -103,7 +103,7 @@ impl Clock {
 #[derive(Debug)]
 pub(super) struct LagSeries {
     clock: Arc<Clock>,
-    /// What of the column is in the value at the last row of each piece, and in the mean.
+    /// The column's contribution to the value at the last row of each piece, and to the mean.
     added: Vec<[Series; 2]>,
 }
 

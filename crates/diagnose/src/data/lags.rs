@@ -28,7 +28,7 @@ pub(super) struct Rows<'t> {
     pub blocks: &'t RowBlocks,
 }
 
-/// What is known of some temperatures behind lags.
+/// Precomputed data for temperatures behind lags, and the columns known so far.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Lags {
     /// Where rows are means of a few rows: the temperatures that have no gap, for any lag.
@@ -144,8 +144,7 @@ impl Lags {
         self.stretches.as_ref().map_or(0.0, |(stretches, _)| stretches.fastest_s())
     }
 
-    /// Returns the stretches, and the means of `column` over them, if they tell what is behind such lags, or behind
-    /// none.
+    /// Returns the stretches, and the means of `column` over them, if they resolve these lags, or both lags are 0.
     fn by_means(&self, column: &str, lags_s: [f64; 2]) -> Option<(&Stretches, &[f64])> {
         let (stretches, means) = self.stretches.as_ref()?;
         let (_, mean_c) = means.iter().find(|(name, _)| name == column)?;

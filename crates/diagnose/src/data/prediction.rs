@@ -1,4 +1,4 @@
-//! What the machine file says of each row.
+//! The machine file's prediction for each row.
 
 use std::sync::Arc;
 
@@ -40,7 +40,7 @@ pub(super) fn predict(data: &mut Data, runs: &[Unaided<'_>]) {
     (data.law, data.axis, data.thermal) = (laws.elongation, laws.axis, laws.thermal);
 }
 
-/// What a machine makes of each row.
+/// A machine's prediction for each row.
 #[derive(Clone)]
 struct Stepped {
     elongation: Vec<f64>,

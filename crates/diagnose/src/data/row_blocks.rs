@@ -6,7 +6,7 @@ pub(crate) struct RowBlocks {
     rows: Vec<u32>,
     /// Where each block ends among `rows`.
     ends: Vec<u32>,
-    /// What each of `rows` counts for; none: one each.
+    /// The weight of each of `rows`; none: 1 each.
     weights: Option<Vec<f64>>,
 }
 

@@ -33,7 +33,7 @@ impl PartialEq for Source {
 /// temperature itself.
 type Asked = (Option<Late>, Option<[f64; 2]>);
 
-/// What was asked for, the newest last; shared by the copies of a table.
+/// The columns that were asked for, the newest last; shared by the copies of a table.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Stepped(Arc<Mutex<VecDeque<Known>>>);
 

@@ -20,8 +20,8 @@ use super::{
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
 const MOST: usize = 50_000;
-/// The longest stretch, in time constants, by which a lag is reported: by what stands above it is wrong by 2 % of itself
-/// then, and by 3 % of a jump. What is faster is not looked for in so long a record.
+/// The longest stretch, in time constants, that resolves a lag: by what stands above it is wrong by 2 % of itself
+/// then, and by 3 % of a jump. Faster lags are not looked for in so long a record.
 const LONGEST: f64 = 0.5;
 
 /// Stretches of rows that follow each other, and how the rows that are asked for lie among them.
@@ -38,7 +38,7 @@ pub(super) struct Stretches {
     apart_s: Vec<f64>,
     /// The longest of those with several rows.
     longest_s: f64,
-    /// What the rows that are asked for are of what is known at the ends, and of what is known in the means.
+    /// Weights by which the rows asked for follow from the values at the ends, and from the means.
     of_ends: Weights,
     of_means: Weights,
 }
@@ -114,7 +114,7 @@ impl Stretches {
         (!means.iter().any(|mean| mean.is_nan())).then_some(means)
     }
 
-    /// Returns the fastest lag that they tell, in s.
+    /// Returns the fastest lag that they resolve, in s.
     pub(super) fn fastest_s(&self) -> f64 {
         self.longest_s / LONGEST
     }

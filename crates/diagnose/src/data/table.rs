@@ -19,8 +19,8 @@ use super::{
 
 pub(super) use super::lags::Column;
 
-/// A run's columns, all files one after the other. A list has one value a row; NaN where missing. What stays as it was
-/// read is shared by the copies of a table.
+/// A run's columns, all files one after the other. A list has one value a row; NaN where missing. Columns that stay as
+/// they were read are shared by the copies of a table.
 #[derive(Clone, Debug)]
 pub(crate) struct Data {
     pub machine: Machine,
@@ -55,14 +55,14 @@ pub(crate) struct Data {
     pub load_n: Option<Arc<[f64]>>,
     pub position_mm: [Option<Arc<[f64]>>; 3],
     pub direction: [Option<Arc<[f64]>>; 3],
-    /// What is left of the last reversal of the quantity's own axis if it is taken up over a way, for
+    /// The rest of the last reversal of the quantity's own axis if it is taken up over a way, for
     /// several ways, each under its name.
     pub reversal_decay: Vec<Column>,
     /// The quantity, in µm.
     pub measured: Arc<[f64]>,
     /// The machine file's terms that change the quantity.
     pub stated: Vec<Stated>,
-    /// What the constants of the file's terms add to the elongation and to the axis, in µm.
+    /// The sums that the constants of the file's terms add to the elongation and to the axis, in µm.
     pub constants_um: [f64; 2],
     /// The elongation by the machine file, in µm.
     pub elongation: Vec<f64>,
@@ -81,7 +81,7 @@ pub(crate) struct Data {
     /// first row that was trained on. A hold-out has its own first row and never refers to it.
     pub references_c: Vec<(String, f64)>,
     pub start_s: f64,
-    /// What was set aside before anything was compared, and why: a sentence each.
+    /// Data that were set aside before anything was compared, and why: a sentence each.
     pub notes: Vec<String>,
     /// Where these are drawn rows, or means of rows: all of them, for what a row has from the rows
     /// before it.

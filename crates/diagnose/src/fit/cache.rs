@@ -1,5 +1,5 @@
-//! Columns that were worked out before. What is only added does not depend on the model, and the rest
-//! of a model often stays while what is added changes.
+//! Columns that were worked out before. Columns that are only added do not depend on the model, and the rest of a model
+//! often stays while these change.
 
 use std::{
     collections::{HashMap, VecDeque},
@@ -70,7 +70,7 @@ impl Hash for Key {
     }
 }
 
-/// What was worked out before.
+/// Cache of the columns that were worked out before.
 #[derive(Debug, Default)]
 pub(super) struct Cache {
     /// Of the settings that every scan tries.

@@ -13,7 +13,7 @@ use crate::{
 /// How late the thermometer is, and behind which lags, in s.
 type Asked = (Option<Late>, [f64; 2]);
 
-/// What was worked out before, in groups.
+/// Cache of the growth that was worked out before, in groups.
 #[derive(Debug, Default)]
 pub(super) struct Grown {
     still: Option<Arc<Still>>,
@@ -21,7 +21,7 @@ pub(super) struct Grown {
     warm: VecDeque<(Asked, Arc<Vec<f64>>)>,
 }
 
-/// What no value of a model changes, in groups.
+/// The quantities that no value of a model changes, in groups.
 #[derive(Debug)]
 pub(super) struct Still {
     /// How much of the elongation is in the quantity.

@@ -9,7 +9,7 @@ use trueup_numerics::{
 
 use super::{jacobian::jacobian, problem::Problem, solve::Fitted};
 
-/// What an interval of 95 % leaves on each side.
+/// The share that an interval of 95 % leaves on each side.
 const BEYOND: f64 = 0.025;
 
 /// Returns the value of part number `part` of `fitted` that differs most between the groups of the second half

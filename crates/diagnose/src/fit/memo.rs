@@ -1,4 +1,4 @@
-//! What was found for whole models. A search comes back to the same ones again and again: a term is looked at in its
+//! Cache of results for whole models. A search comes back to the same ones again and again: a term is looked at in its
 //! place, then the next one, then all of them once more.
 
 use std::{
@@ -10,11 +10,11 @@ use std::{
 use super::cache::Key;
 use crate::model::Model;
 
-/// What is asked, and of which model.
+/// The name of a result, and its model.
 type Asked = (String, Key);
 type Known = Arc<dyn Any + Send + Sync>;
 
-/// What was found, whatever it is.
+/// The results, of any type.
 #[derive(Debug, Default)]
 pub(super) struct Memo(Mutex<Shelf>);
 

@@ -1,4 +1,4 @@
-//! What is fitted to: the table, its groups of rows, and how far each value may go.
+//! The data of a fit: the table, its groups of rows, and how far each value may go.
 
 use std::{
     any::Any,
@@ -24,7 +24,7 @@ use crate::{
 pub(crate) struct Problem {
     pub data: Arc<Data>,
     pub groups: Groups,
-    /// What was measured, in groups.
+    /// The measured values, in groups.
     pub measured: Vec<f64>,
     /// Bounds that a value must keep, from the extent of the data.
     pub bounds: Bounds,
@@ -32,7 +32,7 @@ pub(crate) struct Problem {
     memo: Memo,
 }
 
-/// What nonlinear values may be.
+/// Bounds of the nonlinear values.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
     /// Time constants, in s.
@@ -313,7 +313,7 @@ fn limits_of(part: &Part) -> Option<[f64; 2]> {
 /// another body than it stands for; what is later than a quarter of an hour is another part's temperature.
 const LATEST_THERMOMETER_S: f64 = 900.0;
 
-/// The share of the longest series by which the prediction, or a thermometer, may be late. What is shifted out of a record
+/// The share of the longest series by which the prediction, or a thermometer, may be late. Rows shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
 const MOST_SHIFT: f64 = 0.1;
 /// The shortest time constant, in rows: of less than a hundredth is left after a row.
@@ -324,7 +324,7 @@ const LONGEST_RECORDS: f64 = 3.0;
 const LONGEST_PERIOD: f64 = 0.7;
 /// The same in time, in records: what comes and goes less than two and a half times is a slow law of something.
 const LONGEST_TIME_PERIOD: f64 = 0.4;
-/// What cools this many times faster or slower than it warms is not the same heat.
+/// Heat that cools this many times faster or slower than it warms is not the same heat.
 const ALIKE: f64 = 5.0;
 /// Time constants in a record that shows all of one: three of them pass five times over.
 const SHORT: f64 = 15.0;
@@ -429,7 +429,7 @@ mod tests {
         assert_eq!(shifts_s("", stated), [-60.0, 60.0]);
     }
 
-    /// What comes sooner than 300 s is growth by the speed itself.
+    /// Growth that comes sooner than 300 s is growth by the speed itself.
     #[test]
     fn heat_of_the_speed_has_its_shortest_time_constant_in_the_fit_too() {
         let mut text = String::from("time_s,spindle_rpm,measured_elongation_um\n");

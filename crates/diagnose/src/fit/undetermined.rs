@@ -58,7 +58,7 @@ pub(super) fn substitute(model: &mut Model, all: &[Substitute]) {
     }
 }
 
-/// What of `list` is `kept`, in parameter.
+/// Removes the items of `list` that are not `kept`.
 pub(super) fn keep_only<T>(list: &mut Vec<T>, kept: &[bool]) {
     let mut kept = kept.iter();
     list.retain(|_| kept.next().is_some_and(|kept| *kept));

@@ -1,4 +1,4 @@
-//! Other values of the same cause that the data cannot tell from its own.
+//! Other values of the same cause that the data cannot distinguish from its own.
 //!
 //! A wave that is looked at on a grid has the same values there as waves of other periods, one as good
 //! as the other; a lag that a record does not show out may be short or long. Other values are tried over

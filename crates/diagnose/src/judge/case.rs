@@ -1,4 +1,4 @@
-//! What is the same for all terms of an answer that is judged.
+//! The common data for judging the terms of an answer.
 
 use trueup_numerics::blocks::{Paired, rms};
 
@@ -17,7 +17,7 @@ use crate::{
 pub(crate) struct Case<'c> {
     pub problem: &'c Problem,
     pub found: &'c Found,
-    /// What the answer leaves in each group where that was left out of the fit, in µm.
+    /// The answer's residual in each group where that was left out of the fit, in µm.
     pub left_out: Vec<f64>,
     /// RMS of it.
     pub left_out_um: f64,

@@ -1,8 +1,8 @@
 //! Whether a term only makes up for the form of a lagged law next to it, or for where that law stood at the start.
 //!
 //! Heat of a machine is behind its thermometer by a lag of the first order only nearly: it goes through one
-//! body into the next, and where a record begins a body may stand anywhere between. What a small term adds
-//! to such a law may be that. So a term next to a lagged law must
+//! body into the next, and where a record begins a body may stand anywhere between. The contribution of a small term to
+//! such a law may be that. So a term next to a lagged law must
 //!
 //! ```text
 //! do more that only it can do than a lag of the first order misses      if it goes with heat as well
@@ -27,7 +27,7 @@ use crate::{
 
 /// Lagged laws that are tried next to what settles from the start on.
 const MOST_LAWS: usize = 4;
-/// What a lag of the first order misses of a body that is heated from its side: the share of its mean temperature
+/// The error of a lag of the first order for a body that is heated from its side: the share of its mean temperature
 /// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
 const FORM: f64 = 0.19;
 /// Time constants of a second body, as parts of that of the first: a shorter one is not seen next to it, and of two

@@ -7,7 +7,7 @@ use crate::{columns::named, data::Data, judge::case::Case, kind::Kind};
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
 const MOST_LEFT_OUT: f64 = 2.0;
-/// What leaves at most a tenth more in whole records that it was not fitted to has been seen again
+/// A model that leaves at most a tenth more in whole records that it was not fitted to has been seen again
 /// there, however wide the intervals of its constants are.
 const SEEN_AGAIN: f64 = 1.1;
 /// By how much a time constant may differ with what is left out, from the least to the most.

@@ -1,7 +1,7 @@
 //! An error of the instrument next to a table over the same position: whose is it?
 //!
-//! Both go with the position and nothing else, and a table of more points takes any wave. What distinguishes them is
-//! that no machine is so uneven: a wave that turns more often than the table has intervals, and that was looked at.
+//! Both go with the position and nothing else, and a table of more points takes any wave. They differ in that no
+//! machine is so uneven: a wave that turns more often than the table has intervals, and that was looked at.
 
 use crate::{
     judge::case::Case,

@@ -1,4 +1,4 @@
-//! What one term of the answer is worth: its rivals, whether its name is claimed, what it brings.
+//! The judgement of one term of the answer: its rivals, whether its name is claimed, its gain.
 //!
 //! A name is claimed where
 //!
@@ -90,14 +90,14 @@ use table::{BetweenPoints, repeated};
 /// A profile interval of 95 %: the quantile of χ² with one degree of freedom.
 const PROFILE: f64 = 3.84;
 
-/// What was judged about one term.
+/// The judgement of one term.
 pub(crate) struct Judgement {
     pub part: Part,
     /// Its values with their intervals, by name.
     pub parameters: Map<String, Value>,
-    /// What it brings next to all other terms.
+    /// Its gain next to all other terms.
     pub gain: Gain,
-    /// What it brought when it was added.
+    /// Its gain when it was added.
     pub first_gain: Gain,
     /// The best first.
     pub rivals: Vec<Rival>,
@@ -109,7 +109,7 @@ pub(crate) struct Judgement {
     pub is_kept: bool,
     /// Of a table that was measured several times: what is known between its points.
     pub between: Option<BetweenPoints>,
-    /// What the answer leaves without it on left-out blocks, in each group, in µm.
+    /// The residual of the answer without it on left-out blocks, in each group, in µm.
     left_out_without: Vec<f64>,
 }
 
@@ -160,8 +160,8 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     judged
 }
 
-/// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what takes
-/// two inputs together.
+/// Returns another law that, alone in the place of all terms that read the column of `cause`, does as well; of what
+/// takes two inputs together.
 fn alone_does_as_well(case: &Case<'_>, cause: &Kind) -> Option<Kind> {
     if !cause.is_composed() {
         return None;

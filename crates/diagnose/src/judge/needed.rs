@@ -1,4 +1,4 @@
-//! What a term gains where it was left out of the fit, alone and next to another one.
+//! The gain of a term where it was left out of the fit, alone and next to another one.
 
 use crate::{
     fit::fit,
@@ -27,7 +27,7 @@ pub(crate) fn may_gain_nothing(part: &Part, gain: &Gain) -> bool {
     part.kind.list_length().is_none() && gain.ci95[0] <= 0.0
 }
 
-/// Returns whether what only the clock tells, a drift or a jump, also foresees the end of the record, where
+/// Returns whether a term of the clock alone, a drift or a jump, also foresees the end of the record, where
 /// whatever is not distinguished from it goes another way.
 pub(crate) fn goes_on(case: &Case<'_>, cause: &Kind, left_out_without: &[f64]) -> bool {
     let is_of_clock = cause.cause().is_some_and(Effect::is_in_time) && !cause.has_time_constant();

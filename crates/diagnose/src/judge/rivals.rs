@@ -37,7 +37,7 @@ impl Rival {
         own.is_none() || own != column(&self.cause)
     }
 
-    /// Returns whether the data cannot tell it from `cause`. Of two columns that go together both may foresee
+    /// Returns whether the data cannot distinguish it from `cause`. Of two columns that go together both may foresee
     /// what was left out, however narrow the intervals are.
     pub(crate) fn is_open(&self, cause: &Kind) -> bool {
         let is_near = self.bic_gap < STRONG_EVIDENCE;

@@ -15,7 +15,7 @@ use crate::{
 /// Positions to measure next, at most: a cycle of the standard has about as many.
 const MOST_POSITIONS: usize = 12;
 
-/// What the repeats say of a table.
+/// The evidence of the repeats for a table.
 #[derive(Clone, Debug)]
 pub(crate) struct Repeated {
     /// Whether they bear it out.
@@ -24,7 +24,7 @@ pub(crate) struct Repeated {
     pub between: Option<BetweenPoints>,
 }
 
-/// What is known of a table between its points.
+/// The accuracy of a table between its points.
 #[derive(Clone, Debug)]
 pub(crate) struct BetweenPoints {
     /// Each inner place foreseen by its neighbours, in µm.

@@ -1,10 +1,10 @@
 //! The runs of an axis that are thought of, and what they will read: targets there and back, cold, after the axis was
 //! run warm, or both.
 //!
-//! What nobody moves stays as it was in the runs. Moving warms the axis's own thermometer: by how much at the feed at
-//! which an axis is run warm the runs say if it has changed in them, else paper 2's twenty minutes and 5 K are taken; at
-//! a slower pace by as much less. It is a guess of an input and nothing else hangs on it: the run that is made has
-//! inputs of its own.
+//! All that is not moved stays as it was in the runs. Moving warms the axis's own thermometer: by how much at the feed
+//! at which an axis is run warm the runs say if it has changed in them, else paper 2's twenty minutes and 5 K are
+//! taken; at a slower pace by as much less. It is a guess of an input and nothing else hangs on it: the run that is
+//! made has inputs of its own.
 
 use std::{fmt::Write as _, path::Path};
 
@@ -31,7 +31,7 @@ const FEED_MM_PER_MIN: f64 = 1000.0;
 /// This much of the way lies beyond the targets, and at most this many mm: there play is taken up.
 const OVER_SHARE: f64 = 0.05;
 const MOST_OVER_MM: f64 = 50.0;
-/// What an axis warms by, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
+/// The warming of an axis, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
 const WARMS_C: f64 = 5.0;
 const WARMS_IN_S: f64 = 1200.0;
 /// A thermometer that has changed by less does not show it, in K.
@@ -112,12 +112,12 @@ impl AxisRun {
     }
 }
 
-/// What the runs have shown.
+/// The behaviour of an axis and its columns in the runs.
 pub(super) struct AxisForesight {
     axis: LinearAxis,
     /// How long it stands for a reading, in s.
     dwell_s: f64,
-    /// What the axis was seen at, in mm.
+    /// The range of the axis in the runs, in mm.
     range_mm: [f64; 2],
     feeds_mm_per_min: Vec<f64>,
     has_feed: bool,

@@ -10,14 +10,14 @@ const SPEEDS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
 /// How long one speed is run, and how long the spindle then stands, in minutes.
 const HEAT_MIN: [f64; 8] = [5.0, 8.0, 12.0, 20.0, 30.0, 40.0, 50.0, 60.0];
 const COOL_MIN: [f64; 5] = [0.0, 5.0, 10.0, 20.0, 30.0];
-/// What changes quickly stays for so long, in minutes, and comes so often: quick against heat, slow against the dial.
+/// A quick change stays for this many minutes, and comes this many times: quick against heat, slow against the dial.
 const QUICK_MIN: f64 = 2.0;
 const QUICK_TIMES: [usize; 4] = [1, 2, 4, 8];
 
 /// The longest run, in minutes.
 const MAX_MIN: f64 = 90.0;
-/// How long a run-in stays at each of the slower speeds, in minutes: makers of spindles ask for some minutes at a quarter, a
-/// half and three quarters of the highest speed.
+/// How long a run-in stays at each of the slower speeds, in minutes: makers of spindles ask for some minutes at a
+/// quarter, a half and three quarters of the highest speed.
 const RUN_IN_MIN: f64 = 3.0;
 
 /// Returns all of them.

@@ -1,4 +1,4 @@
-//! What thermometers and sensors will show in a run that nobody has made: each input column as a lag of the
+//! The columns of thermometers and sensors in a run that is not made yet: each input column as a lag of the
 //! spindle's heat, the square of its speed and the load, fitted to the runs that are there.
 //!
 //! ```text
@@ -25,10 +25,10 @@ const LAGS_S: [f64; 16] = [
 const POWERS: [f64; 3] = [1.0, 1.5, 2.0];
 /// Rows that are looked at: enough for four constants.
 const MOST_ROWS: usize = 600;
-/// What pulls a constant that nothing determines to 0: as much as a hundredth of the rows.
+/// The weight that pulls a constant that nothing determines to 0: as much as a hundredth of the rows.
 const PULL: f64 = 0.01;
 
-/// What the runs have shown.
+/// The behaviour of the spindle and of the input columns in the runs.
 pub(super) struct Foresight {
     /// In r/min.
     pub fastest_rpm: f64,

@@ -33,7 +33,7 @@ use crate::{
 /// Two models that the runs do not distinguish.
 #[derive(Clone, Debug)]
 pub(crate) struct Question {
-    /// What each says, with its column.
+    /// The name of each cause, with its column.
     pub causes: [String; 2],
     sides: [Side; 2],
     /// Of one reading, in µm².
@@ -95,7 +95,7 @@ impl Question {
         }
     }
 
-    /// Returns what `run` will tell.
+    /// Returns the expected separation of the two causes by `run`.
     pub(crate) fn told(&self, run: &Data) -> Told {
         let Separation { gap, difference_um } = self.separation(run);
         Told {
@@ -200,7 +200,7 @@ mod tests {
     }
 
     /// Speed or load: in the training both were always together. q = (n/1000)², the load 100·q N, 2 µm for each q,
-    /// and ±0.5 µm that nobody explains.
+    /// and ±0.5 µm that nothing explains.
     ///
     /// ```text
     /// training: Σq² = 2·(0 + 1 + 16 + 81) = 196, left: Σ = 8·0.25 = 2 over 8 − 1 degrees: σ² = 2/7

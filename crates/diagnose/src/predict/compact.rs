@@ -1,8 +1,8 @@
 //! The few terms that foresee what the mean of many searches does.
 //!
 //! Candidates are the terms of all subsamples. A set is worth what it leaves of the blocks that each subsample has not
-//! seen, fitted to those that it has; terms are added, and exchanged, as long as that falls, and the smallest set within
-//! one standard error of the best is taken. It is fitted half to what was measured and half to the mean.
+//! seen, fitted to those that it has; terms are added, and exchanged, as long as that falls, and the smallest set
+//! within one standard error of the best is taken. It is fitted half to what was measured and half to the mean.
 
 use nalgebra::{DMatrix, DVector};
 use trueup_numerics::parallel::on_all_cores;
@@ -17,8 +17,8 @@ const RIDGE: f64 = 0.05;
 const SINGLE: f64 = 1e-3;
 /// Held more, a fit is none.
 const MOST_RIDGE: f64 = 10.0;
-/// A term does at most this many times what was measured ([`crate::answer`]: of two terms that take each other back each is
-/// larger).
+/// A term does at most this many times what was measured ([`crate::answer`]: of two terms that take each other back
+/// each is larger).
 const MOST_TIMES: f64 = 2.0;
 /// An exchange has to gain this share.
 const EXCHANGE: f64 = 1e-3;
@@ -194,7 +194,7 @@ impl Moments {
     }
 }
 
-/// What is needed of a subsample to judge a set.
+/// The moments of a subsample that are needed to judge a set.
 struct Judge {
     inside: Moments,
     outside: Moments,

@@ -15,7 +15,7 @@ use crate::predict::dictionary::Dictionary;
 const WORTH: f64 = 1.0;
 /// Within one standard error, but worth less than this share of the best, a simple term is no rival.
 const RIVAL: f64 = 0.9;
-/// What is left of a column next to the others, as a share of its squares, below which it adds nothing.
+/// The share of a column's squares left next to the others, below which it adds nothing.
 const OWN: f64 = 1e-3;
 /// A column is to be seen on as many occasions.
 const OCCASIONS: f64 = 3.0;
@@ -30,7 +30,7 @@ pub(super) struct Forward<'f> {
     pub stops: bool,
 }
 
-/// What an entry gains in each block.
+/// The gain of an entry in each block.
 struct Gain {
     entry: usize,
     of_blocks: Vec<f64>,

@@ -51,7 +51,7 @@ pub(crate) struct Prediction {
     pub foreseen: Foreseen,
 }
 
-/// What was left of parts that took no part in search and fit.
+/// Residuals of parts that took no part in search and fit.
 #[derive(Clone, Debug)]
 pub(crate) struct Foreseen {
     /// Of each group, by a fit to the other parts ([`Folds::of_promise`]), in µm.
@@ -65,8 +65,8 @@ pub(crate) fn later_from(groups: usize) -> [usize; 2] {
     [groups / 2, 2 * groups / 3]
 }
 
-/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is what
-/// no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
+/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is
+/// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
 pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
     let dictionary = Dictionary::new(problem);
     let measured = problem.residual(&Model::default());
@@ -98,7 +98,7 @@ pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Op
 /// The search with all that it needs.
 struct Engine<'e> {
     dictionary: &'e Dictionary,
-    /// What the machine file leaves of each group, in µm.
+    /// The machine file's residual in each group, in µm.
     y: &'e [f64],
     is_timed: bool,
     is_large: bool,

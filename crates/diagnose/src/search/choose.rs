@@ -20,20 +20,20 @@ const MOST_LEFT_OUT: usize = 8;
 /// Groups beyond which pairs are not tried from nothing: it would take too long.
 const MOST_GROUPS_FOR_PAIRS: usize = 3000;
 
-/// What came of a round.
+/// The outcome of a round.
 pub(crate) enum Choice {
     Take(Taken),
     /// None of these.
     Reject(Vec<Tried>),
 }
 
-/// What is taken.
+/// The extension that is taken.
 pub(crate) struct Taken {
     pub fitted: Fitted,
     /// The causes that are new in it.
     pub causes: Vec<Kind>,
     pub gain: Gain,
-    /// What else was tried.
+    /// Other extensions that were tried.
     pub tried: Vec<Tried>,
 }
 
@@ -42,7 +42,7 @@ struct Assessed {
     cause: Kind,
     fitted: Fitted,
     bic: f64,
-    /// What it leaves in each group.
+    /// Its residual in each group where that was left out.
     left_out: Vec<f64>,
     left_out_um: f64,
     reduction: Reduction,

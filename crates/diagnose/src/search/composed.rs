@@ -1,4 +1,5 @@
-//! What takes two recorded inputs together: alone in the place of simpler terms, or a difference for two paths of heat.
+//! Causes that take two recorded inputs together: alone in the place of simpler terms, or a difference for two paths of
+//! heat.
 
 use trueup_machine::effect::Input;
 

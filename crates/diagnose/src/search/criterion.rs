@@ -17,13 +17,13 @@ use crate::{
     fit::{Fitted, Problem},
     model::Model,
 };
-/// What a term pays for the choice among n causes, in ln n: EBIC with γ = 1.
+/// The price of a term for the choice among n causes, in ln n: EBIC with γ = 1.
 pub(crate) const CHOICE: f64 = 2.0;
 /// Models whose BIC differs by less cannot be distinguished (from 6 on Kass and Raftery, 1995, speak of
 /// strong evidence).
 pub(crate) const STRONG_EVIDENCE: f64 = 6.0;
 
-/// What leaves more than this times as much on left-out blocks (RMS) does not predict as well.
+/// A model that leaves more than this times as much on left-out blocks (RMS) does not predict as well.
 pub(crate) const EQUAL_PREDICTION: f64 = 1.05;
 
 /// Returns how many values of `model` are fitted.
@@ -59,7 +59,7 @@ fn bic_of(problem: &Problem, fitted: &Fitted) -> f64 {
 }
 
 /// By how much the BIC of `other` is worse than that of `own`: by the likelihood, or by the squares
-/// over the independent rows, whichever tells them better apart. The likelihood is right where the
+/// over the independent rows, whichever distinguishes them better. The likelihood is right where the
 /// noise is as it is modelled; where a model is not quite right its quick part weighs too much.
 pub(crate) fn bic_gap(problem: &Problem, own: &Fitted, other: &Fitted) -> f64 {
     let noise = noise_of(problem, &own.residual, degrees(&own.model));

@@ -16,7 +16,7 @@ use crate::{
     },
 };
 
-/// What is left of the lesser of two effects that take each other back.
+/// The share that is left of the lesser of two effects that take each other back.
 const TAKEN_BACK: f64 = 0.5;
 
 /// A model that was extended by a cause, fitted with everything else.

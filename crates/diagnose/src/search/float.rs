@@ -67,7 +67,7 @@ struct Way {
     by: Yardstick,
     /// Whether it may add lists: curves and tables.
     with_lists: bool,
-    /// What each term pays for the choice among all causes.
+    /// The price of each term for the choice among all causes.
     price: f64,
 }
 
@@ -75,7 +75,7 @@ struct Way {
 struct Assessed {
     fitted: Fitted,
     score: f64,
-    /// What it leaves on left-out blocks, in each group, in µm.
+    /// Its residual on left-out blocks, in each group, in µm.
     left_out: Vec<f64>,
 }
 
@@ -204,8 +204,8 @@ impl Search<'_> {
         CHOICE * (causes.len().max(1) as f64).ln()
     }
 
-    /// `base` with the cause of the best BIC, whatever it is. What is looked for at many periods or instants
-    /// answers for that where it is alone.
+    /// `base` with the cause of the best BIC, whatever it is. Causes that are looked for at many periods or instants
+    /// answer for that where they are alone.
     fn with_one_more(&self, base: &Fitted, way: Way) -> Option<Extension> {
         let is_open = |cause: &Kind| {
             let is_searched = cause.is_wave() || cause.is_of_instrument() || cause.has_instant();

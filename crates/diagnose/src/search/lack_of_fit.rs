@@ -44,7 +44,7 @@ impl fmt::Display for LackOfFit {
     }
 }
 
-/// What a curve goes with.
+/// The inputs of a curve.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Inputs {
     column: String,

@@ -86,9 +86,9 @@ pub(crate) struct Found {
     pub fitted: Fitted,
     /// In the order in which they were added.
     pub added: Vec<Added>,
-    /// What was tried at the end and not taken.
+    /// Extensions that were tried at the end and not taken.
     pub rejected: Vec<Tried>,
-    /// What fires on what is left.
+    /// Tests that fire on what is left.
     pub lack_of_fit: Vec<LackOfFit>,
     pub noise: Noise,
     pub folds: Folds,
@@ -100,8 +100,8 @@ pub(crate) fn start(data: &Data) -> Model {
 }
 
 /// Returns the search on `problem`, from the model as it is; `known` was found before some rows were set aside, and
-/// is the answer to go on from where it is better than what is found now. `progress` receives what is being tried, and how
-/// far the search has come (0…1).
+/// is the answer to go on from where it is better than what is found now. `progress` receives what is being tried, and
+/// how far the search has come (0…1).
 pub(crate) fn search(
     problem: &Problem,
     start: &Model,
@@ -126,7 +126,7 @@ pub(crate) fn search(
     search.outcome(no_gain)
 }
 
-/// What a round came to.
+/// The outcome of a round.
 enum Round {
     /// A term is there, or two.
     Added,
@@ -215,7 +215,8 @@ impl Search<'_> {
     }
 
     /// Returns what to try after a round that took none of `tried`: two causes that hide each other, the next
-    /// stage, sharper limits, two terms ahead, what takes two inputs together, what goes with the clock alone; in this order.
+    /// stage, sharper limits, two terms ahead, what takes two inputs together, what goes with the clock alone; in this
+    /// order.
     fn widen(
         &mut self,
         scanned: Scan,

@@ -1,4 +1,4 @@
-//! What is looked at again once other terms are there: whether a term is still needed, and whether
+//! Revision of a term once other terms are there: whether it is still needed, and whether
 //! another cause, or two of them, do better in its place.
 
 use trueup_numerics::parallel::on_all_cores;

@@ -1,4 +1,4 @@
-//! What is made simpler once the search is over: a law in the place of what stands for it, a term that
+//! Simplification once the search is over: a law in the place of what stands for it, a term that
 //! does not gain, the cause that needs the fewest values.
 
 use trueup_machine::{
@@ -249,8 +249,8 @@ impl Search<'_> {
         !self.folds.paired(&there, own).is_better() || rms(&there) <= EQUAL_PREDICTION * rms(own)
     }
 
-    /// What rises from the start on, or jumps once, and gains most of all at one reading is that reading: the first
-    /// of a day may be a bad one. It leaves, and the reading is judged as all others are.
+    /// A term that rises from the start on, or jumps once, and gains most of all at one reading is that reading: the
+    /// first of a day may be a bad one. Drops the term; the reading is judged as all others are.
     fn drop_what_one_reading_holds_up(&mut self) {
         if self.problem.groups.size > 1 {
             return;

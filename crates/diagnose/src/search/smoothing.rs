@@ -69,8 +69,8 @@ impl Search<'_> {
     }
 
     /// Returns the first term that only smooths, also by all that is known of these rows, and the model without it.
-    /// What these do not tell from smoothing must foresee better beyond doubt: noise that is smoothed in one way or in
-    /// another makes a small difference by chance.
+    /// A term that these rows do not distinguish from smoothing must foresee better beyond doubt: noise that is
+    /// smoothed in one way or in another makes a small difference by chance.
     fn smoothing(&self) -> Option<(usize, Fitted)> {
         let parts = &self.fitted.model.parts;
         let own = self.bic();

@@ -21,7 +21,7 @@ use crate::{
 /// The search on one problem.
 pub(crate) struct Search<'p> {
     pub problem: &'p Problem,
-    /// What is left out in turn.
+    /// The blocks that are left out in turn.
     pub folds: Folds,
     /// The model in work.
     pub fitted: Fitted,
@@ -31,7 +31,7 @@ pub(crate) struct Search<'p> {
     pub stage: Stage,
     /// How the limits of the scan are drawn.
     pub limits: Draw,
-    /// What was tried next to the model in work and rejected; it is not tried next to it again.
+    /// Extensions that were tried next to the model in work and rejected; they are not tried next to it again.
     pub rejected: Vec<Tried>,
     /// Terms that were there and foresaw no better than without them; they are not tried again.
     pub given_up: Vec<Kind>,
@@ -41,22 +41,22 @@ pub(crate) struct Search<'p> {
     looked_ahead: Vec<Vec<Kind>>,
     /// Whether a table was judged by its repeats.
     pub has_judged_repeats: bool,
-    /// What takes away less of the RMS is not worth a term, in µm.
+    /// The reduction of the RMS below which a term is not worth it, in µm.
     pub relevant_um: f64,
 }
 
 /// Which causes are tried. A stage begins once the one before has nothing more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Stage {
-    /// What the machine's own model may have wrong.
+    /// Possible errors of the machine's own model.
     OwnModel,
-    /// What else was recorded and acts at once.
+    /// Other recorded inputs that act at once.
     ActsAtOnce,
     /// Time alone, and what acts late.
     All,
-    /// What takes two recorded inputs together: the difference of two, or a range of one.
+    /// Causes that take two recorded inputs together: the difference of two, or a range of one.
     Composed,
-    /// What comes and goes with the clock alone: before all else is tried, it would follow what is missing.
+    /// Causes that come and go with the clock alone: before all else is tried, they would follow what is missing.
     ByTheClock,
 }
 
@@ -98,7 +98,7 @@ pub(crate) struct Added {
 #[derive(Clone, Debug)]
 pub(crate) struct Tried {
     pub cause: Kind,
-    /// What the model leaves with it, in µm.
+    /// The residual of the model with it: RMS, in µm.
     pub rms_um: f64,
     /// The same on left-out blocks, where it was worked out.
     pub left_out_um: Option<f64>,
@@ -192,8 +192,8 @@ impl<'p> Search<'p> {
         self.added.remove(index);
     }
 
-    /// Returns whether several terms ahead have never been looked at from these causes; they have now. What another
-    /// model could not be made better by says nothing of this one.
+    /// Returns whether several terms ahead have never been looked at from these causes; they have now. A failure to
+    /// improve another model says nothing of this one.
     pub(crate) fn is_new_to_look_ahead(&mut self) -> bool {
         let here: Vec<Kind> = self.fitted.model.parts.iter().map(|it| it.kind.clone()).collect();
         let is_same = |there: &Vec<Kind>| {

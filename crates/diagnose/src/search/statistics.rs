@@ -27,13 +27,13 @@ pub(crate) struct Trial {
     pub with_constant: bool,
     /// A change of fixed size, with no amplitude to fit.
     pub is_fixed: bool,
-    /// What it adds at each amplitude of 1, in groups.
+    /// Its effect for each amplitude of 1, in groups.
     pub columns: Vec<Vec<f64>>,
     /// How many values it would take to fit it.
     pub degrees: f64,
 }
 
-/// What of a trial does not depend on the lists: G, and the squares of its columns.
+/// The part of a trial that does not depend on the lists: G, and the squares of its columns.
 pub(crate) struct Own {
     beside: DMatrix<f64>,
     whole: Vec<f64>,
@@ -120,7 +120,7 @@ fn chunks(trials: &[Trial]) -> Vec<(usize, &[Trial])> {
     chunks
 }
 
-/// What columns take away from lists, next to what the model's own values could absorb; all whitened.
+/// The reduction of lists by columns, next to what the model's own values could absorb; all whitened.
 ///
 /// ```text
 /// Q  basis of the model's own columns        l ⊥ Q  the lists

@@ -105,7 +105,7 @@ fn a_planned_run_of_an_axis_tells_what_a_short_one_left_open() {
     assert!(it.planned > 0 && it.told > 0 && it.minutes[0] < it.minutes[1], "{it:?}");
 }
 
-/// Seeds that nothing was chosen by. What foresees the same in every run needs no run: a scale and a reference
+/// Seeds that nothing was chosen by. Causes that foresee the same in every run need no run: a scale and a reference
 /// temperature of a file that has a slope are one law.
 #[test]
 #[ignore = "long: a hundred diagnoses, each with some hundred runs that are thought of and three that are made"]

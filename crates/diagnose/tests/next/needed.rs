@@ -1,4 +1,4 @@
-//! What the planned runs, and two fixed cycles, need over many machines.
+//! The minutes that the planned runs, and two fixed cycles, need over many machines.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 use trueup_diagnose::{Diagnosis, Gauge, Next, NoNext};
@@ -30,13 +30,13 @@ pub struct Needed {
     pub alike: usize,
     /// Of all that are open: those for which a run is planned.
     pub planned: usize,
-    /// Of them: those whose planned run told.
+    /// Of them: those whose planned run distinguished the causes.
     pub told: usize,
-    /// Of them: those of which one cause is what the machine really has, and those that told so.
+    /// Of them: those of which one cause is what the machine really has, and those whose run favoured it.
     pub has_truth: usize,
     pub right: usize,
-    /// Minutes until told in all: by the plans (and the first cycle after a plan that did not tell), by the first
-    /// cycle, by the second.
+    /// Minutes until the causes were distinguished in all: by the plans (and the first cycle after a plan that failed),
+    /// by the first cycle, by the second.
     pub minutes: [f64; 3],
 }
 

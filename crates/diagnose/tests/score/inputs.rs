@@ -1,4 +1,4 @@
-//! What an answer to [`trueup_twin::inputs`] is worth: whether the columns of the hidden law are named and claimed, and
+//! The score of an answer to [`trueup_twin::inputs`]: whether the columns of the hidden law are named and claimed, and
 //! what is gone on another day.
 
 use std::{collections::BTreeSet, path::Path};
@@ -10,7 +10,7 @@ use trueup_twin::inputs::{Kind, draw};
 /// Noise of the gauge in µm, which nothing takes away.
 const NOISE_UM: f64 = 0.4;
 
-/// What an answer is worth.
+/// The score of an answer.
 #[derive(Clone, Debug)]
 pub struct Worth {
     /// Whether all columns of the law are among those of claimed findings.

@@ -29,7 +29,7 @@ impl True {
     }
 }
 
-/// What is right.
+/// The right answer.
 #[derive(Clone, Debug, Default)]
 pub struct Key {
     /// All that may be claimed.
@@ -38,7 +38,7 @@ pub struct Key {
     pub needed: Vec<&'static [&'static str]>,
 }
 
-/// What an answer says of a [`Key`].
+/// An answer compared with a [`Key`].
 #[derive(Clone, Debug)]
 pub struct Told {
     pub verdict: Verdict,

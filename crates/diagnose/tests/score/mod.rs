@@ -25,7 +25,7 @@ impl Interval {
     }
 }
 
-/// What one answer was worth.
+/// The score of one answer.
 #[derive(Clone, Debug)]
 pub struct Score {
     /// The causes that were hidden.
@@ -50,7 +50,7 @@ pub struct Score {
     pub share_of_gain: f64,
     /// RMS of all that is hidden over that of the noise.
     pub visible: f64,
-    /// What the answer compensates leaves the hold-out worse, by more than [`HARM`].
+    /// The compensation of the answer leaves the hold-out worse, by more than [`HARM`].
     pub is_harmed: bool,
 }
 
@@ -103,7 +103,7 @@ pub fn answer(challenge: &Challenge) -> Diagnosis {
     diagnose(&machine, &runs, &holdout, None, &mut |_, _| {}).expect("the runs can be compared")
 }
 
-/// What an answer names, by whichever version of the finder.
+/// The verdict and the findings of an answer, by whichever version of the finder.
 pub struct Told {
     /// By its name in the fixed form of the answer.
     pub verdict: String,

@@ -12,7 +12,7 @@ use crate::{
 
 /// The size of a cause, RMS over that of the noise.
 pub const RATIO: f64 = 3.0;
-/// The least share of draws that can be told in which both are named and nothing else is claimed.
+/// The least share of distinguishable draws in which both are named and nothing else is claimed.
 pub const RIGHT: f64 = 0.95;
 /// The largest share of them in which another cause is claimed.
 pub const WRONG: f64 = 0.01;
@@ -57,7 +57,7 @@ pub fn faults(score: &Score) -> Vec<String> {
 #[derive(Clone, Copy)]
 pub struct Pair(pub Hidden, pub Hidden);
 
-/// What is said of a pair.
+/// The score of a pair.
 pub struct Judged {
     pub score: Score,
     /// Both are named, claimed or not, and nothing else is claimed.
@@ -77,7 +77,7 @@ impl Pair {
         format!("{}+{}", self.0.name(), self.1.name())
     }
 
-    /// Returns the answer to the machine of `seed` with both; `None` where nobody could tell them by its record.
+    /// Returns the answer to the machine of `seed` with both; `None` where its record cannot distinguish them.
     pub fn judged(self, seed: u64) -> Option<Judged> {
         let Self(a, b) = self;
         let challenge = draw_pair(a, b, RATIO, seed).expect("they stand beside each other");

@@ -121,7 +121,7 @@ impl Case {
     }
 
     /// RMS over that of the noise of what a fault does and no mixture of the others, and a constant,
-    /// could do: by how much it can be told.
+    /// could do: by how much it can be distinguished.
     fn own_ratio(&self, of: usize) -> f64 {
         let others = self.faults.iter().enumerate().filter(|(number, _)| *number != of);
         let others: Vec<&[f64]> = others.map(|(_, other)| &other.um[..]).collect();
@@ -199,7 +199,7 @@ pub struct Judged {
 
 impl Judged {
     /// Returns whether each fault does as much as the noise that no mixture of the others could do: where two
-    /// move the tool in the same way, nobody can tell them by this record.
+    /// move the tool in the same way, this record cannot distinguish them.
     pub fn can_be_told(&self) -> bool {
         self.faults.iter().all(|(.., own)| *own >= 1.0)
     }

@@ -99,7 +99,7 @@ pub enum SolveError {
     BadStart,
     /// No start led to a minimum.
     NotConverged {
-        /// What the last of them ended with.
+        /// The reason why the last of them ended.
         reason: String,
     },
 }
@@ -118,7 +118,7 @@ impl fmt::Display for SolveError {
 
 impl Error for SolveError {}
 
-/// What a fit has found.
+/// The result of a fit.
 #[derive(Clone, Debug)]
 pub struct Fit {
     /// The fitted parameters, in the order and the units of the model.

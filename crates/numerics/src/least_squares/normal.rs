@@ -2,7 +2,7 @@
 //! Cholesky. For searches that solve thousands of small problems over the same long columns.
 //!
 //! The normal equations square the condition number, so that columns which resemble each other cost
-//! twice the digits that they cost the [triangle](super::triangle). What they gain is time. Measured
+//! twice the digits that they cost the [triangle](super::triangle). In return they save time. Measured
 //! (`tests/normal_equations.rs`, `tests/nist.rs`, release build):
 //!
 //! | 100,000 rows, independent columns | triangle | normal equations | apart |
@@ -32,7 +32,7 @@ pub struct NormalSolution {
     pub coefficients: Vec<f64>,
     /// L of the scaled normal matrix.
     lower: DMatrix<f64>,
-    /// What each column was multiplied by.
+    /// The factor by which each column was multiplied.
     scale: Vec<f64>,
 }
 
@@ -139,7 +139,7 @@ fn back(lower: &DMatrix<f64>, b: &mut [f64]) {
     }
 }
 
-/// What is left of a column's squares next to others, below which it is a combination of them.
+/// The share of a column's squares left next to others, below which it is a combination of them.
 const DEPENDENT: f64 = 1e-11;
 
 /// L of G = L·Lᵀ, from the lower half of G. A column that is a combination of those before it, measured

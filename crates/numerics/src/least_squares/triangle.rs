@@ -6,7 +6,7 @@
 //! r = √(Rⱼⱼ² + xⱼ²),  c = Rⱼⱼ/r,  s = xⱼ/r,   (Rⱼ | zⱼ) ← c·(Rⱼ | zⱼ) + s·(x | y),   (x | y) ← c·(x | y) − s·(Rⱼ | zⱼ)
 //! ```
 //!
-//! What is left of y after the last column is orthogonal to all columns: its square adds to the
+//! The part of y left after the last column is orthogonal to all columns: its square adds to the
 //! residual sum of squares. Then R·c = z.
 
 use std::{error::Error, fmt};

@@ -20,14 +20,14 @@ const LEAST_R_SQUARED: f64 = 0.9;
 /// 2·0.25²)).
 const INDEPENDENT: f64 = 18.0 / 35.0;
 
-/// What leaving out places has shown.
+/// The result of leaving out places.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Between {
     /// Inner places that were foreseen.
     pub inner: usize,
-    /// What the line between the neighbours misses at them: root mean square, in the readings' unit.
+    /// Error of the line between the neighbours at them: root mean square, in the readings' unit.
     pub line: f64,
-    /// What the mean of all other places misses at them, likewise.
+    /// Error of the mean of all other places at them, likewise.
     pub nothing: f64,
     /// Whether the line misses more than the scatter of the repeats would let it.
     pub is_beyond_scatter: bool,
@@ -40,7 +40,7 @@ impl Between {
         1.0 - (self.line / self.nothing).powi(2)
     }
 
-    /// Returns whether these readings can tell at all.
+    /// Returns whether there are enough inner places to judge by.
     #[must_use]
     pub fn can_tell(&self) -> bool {
         self.inner >= FEWEST_INNER

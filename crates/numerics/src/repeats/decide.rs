@@ -52,7 +52,7 @@ pub struct Trial {
     pub before: Vec<f64>,
     /// The same with the law.
     pub after: Vec<f64>,
-    /// What the law leaves of each reading where its block was left out; NaN where it is set aside.
+    /// The law's residual at each reading where its block was left out; NaN where it is set aside.
     pub left_out: Vec<f64>,
     /// Whether all of it together leaves less than nothing at all would.
     pub is_below_nothing: bool,
@@ -92,7 +92,7 @@ pub enum Refusal {
     NoGain,
 }
 
-/// What was decided.
+/// The law to use, and the trials behind it.
 #[derive(Clone, Debug)]
 pub struct Decision {
     /// The law to use, or why there is none.

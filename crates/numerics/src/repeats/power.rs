@@ -8,7 +8,7 @@ use crate::noncentral_f;
 
 /// The chance with which the error is to be found.
 const POWER: f64 = 0.95;
-/// Nobody measures more cycles than that.
+/// No more cycles are considered.
 const MOST_CYCLES: usize = 100;
 
 /// Returns the fewest cycles, at least 2, over `places` places after which an error of the root mean square `size`

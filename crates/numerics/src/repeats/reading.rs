@@ -9,7 +9,7 @@ pub struct Reading {
     pub side: usize,
     /// The cycle: places come again from one to the next.
     pub cycle: usize,
-    /// What was read; all of one unit.
+    /// The value that was read; all of one unit.
     pub value: f64,
 }
 

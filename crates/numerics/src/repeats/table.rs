@@ -2,7 +2,7 @@
 
 use super::reading::Reading;
 
-/// What a table says of the two sides.
+/// The relation between the two sides of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Law {
     /// The same: a value for each place.
@@ -20,7 +20,7 @@ pub struct Table {
     pub law: Law,
     /// By place, for each side; without the step.
     pub values: [Vec<f64>; 2],
-    /// What the second side has beyond the first, where the law has a step; else 0.
+    /// The excess of the second side over the first, where the law has a step; else 0.
     pub step: f64,
     /// How many values were fitted.
     pub constants: usize,

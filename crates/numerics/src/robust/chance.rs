@@ -19,7 +19,7 @@
 
 use super::residual::LARGEST_SHARE;
 
-/// The farthest readings that tell the tail: as many as make its scale known to 1/√20, a fifth.
+/// The farthest readings, which form the tail: as many as make its scale known to 1/√20, a fifth.
 const TAIL: usize = 20;
 /// Of few readings one in this many: what is nearer is no tail.
 const IN_TAIL: usize = 4;

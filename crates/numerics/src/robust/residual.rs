@@ -14,7 +14,7 @@ const FEWEST: usize = 12;
 /// A larger share of the rows is not a few readings.
 pub(super) const LARGEST_SHARE: f64 = 0.08;
 
-/// Returns whether each row is a gross error. `series` tells which rows are neighbours: those of one number;
+/// Returns whether each row is a gross error. `series` says which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.
 #[must_use]
 pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64) -> Vec<bool> {

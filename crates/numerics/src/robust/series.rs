@@ -50,7 +50,7 @@ pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
 }
 
 /// Takes back what may be the machine: bursts so long that they are a level, and at either end of
-/// the series, where nobody saw it come back, all but a single row that does not continue its
+/// the series, where no return was recorded, all but a single row that does not continue its
 /// neighbours' curve either. A cold machine moves fastest in its first rows.
 fn that_come_back(found: Vec<Outlier>, rows: &[usize], time: &[f64], y: &[f64]) -> Vec<Outlier> {
     let place = |outlier: &Outlier| rows.binary_search(&outlier.row).unwrap_or(usize::MAX);

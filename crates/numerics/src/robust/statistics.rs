@@ -1,4 +1,4 @@
-//! What the tests for gross errors share: a scale that outliers do not move, and the limit in scales.
+//! The common part of the tests for gross errors: a scale that outliers do not move, and the limit in scales.
 
 use crate::t_quantile;
 
