@@ -117,8 +117,8 @@ fn a_power_cut_in_many_words_of_a_load_leaves_the_old_or_the_new_calibration() {
 }
 
 #[test]
-#[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test chip_load any_word -- --ignored"]
-fn a_power_cut_in_any_word_of_a_load_leaves_the_old_or_the_new_calibration() {
+#[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test chip_load campaign_a_power_cut -- --ignored"]
+fn campaign_a_power_cut_in_any_word_of_a_load_leaves_the_old_or_the_new_calibration() {
     every(1);
 }
 
