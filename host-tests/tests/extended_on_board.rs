@@ -234,7 +234,7 @@ fn hidden(cause: Hidden, seed: u64, has_memory: bool) {
 }
 
 #[test]
-#[ignore = "long: a minute of the emulated board"]
+#[ignore = "long: two terms, each diagnosed and played to the emulated board"]
 fn the_gain_of_a_spindles_and_an_axiss_terms_is_in_the_offsets() {
     hidden(Hidden::CentrifugalGrowth, 1, false);
     hidden(Hidden::PositionDependentBacklash, 1, false);

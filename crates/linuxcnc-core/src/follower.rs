@@ -36,7 +36,7 @@ const SETTLE: Duration = Duration::from_millis(50);
 /// This many of them one after the other: the pins are not connected as they should be, or LinuxCNC
 /// stands.
 const LOST_STEPS: u8 = 3;
-/// An axis that the planner does not move for so long is reported as stuck.
+/// An axis that the planner does not move for this time is reported as stuck.
 const STUCK_AFTER: Duration = Duration::from_millis(500);
 /// Two readings of `eoffset-request` are the same within this, in counts.
 const SAME: f64 = 0.25;

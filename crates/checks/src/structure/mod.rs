@@ -8,6 +8,7 @@
 mod causes;
 mod circles;
 mod functions;
+mod ignored;
 mod language;
 mod layers;
 mod modules;
@@ -43,6 +44,8 @@ struct Limits {
     cut_tables: usize,
     /// Files that `rustfmt` does not see.
     unseen: usize,
+    /// Ignored tests that are of no tier.
+    without_tier: usize,
     /// Places that name the one cause that is named in most.
     places: usize,
 }
@@ -56,6 +59,7 @@ const LIMITS: Limits = Limits {
     nowhere: 0,
     cut_tables: 0,
     unseen: 0,
+    without_tier: 0,
     places: 2,
 };
 
@@ -115,6 +119,16 @@ pub fn check(root: &Path) -> Result<String> {
     head(&mut text, "files that the format check does not see", unseen.len(), LIMITS.unseen)?;
     for path in &unseen {
         writeln!(text, "    {path}")?;
+    }
+    let without_tier = ignored::without_tier(&sources);
+    head(
+        &mut text,
+        "ignored tests whose reason and name are of no tier",
+        without_tier.len(),
+        LIMITS.without_tier,
+    )?;
+    for test in &without_tier {
+        writeln!(text, "    {test}")?;
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
     head(&mut text, &what, places.len(), LIMITS.places)?;
