@@ -182,8 +182,9 @@ fn hundreds_of_random_cuts_and_faults_never_make_a_step_above_the_slew_limit() -
 }
 
 #[test]
-#[ignore = "long: a thousand cuts in awlsim, three minutes"]
-fn a_thousand_random_cuts_of_either_line_never_make_a_step_above_the_slew_limit() -> Result<()> {
+#[ignore = "campaign: cargo test -p trueup-host-tests --features emulator --test gateway_s7 campaign_ -- --ignored --nocapture"]
+fn campaign_a_thousand_random_cuts_of_either_line_never_make_a_step_above_the_slew_limit()
+-> Result<()> {
     cuts(&["--cuts", "1000", LINES])
 }
 

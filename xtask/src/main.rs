@@ -68,11 +68,7 @@ enum Command {
     Chip(ChipOptions),
     /// Lets the real LinuxCNC cut on a virtual machine that the bridge corrects.
     #[command(name = "linuxcnc")]
-    LinuxCnc {
-        /// Where the bridge's firmware runs.
-        #[arg(long, value_enum, default_value_t)]
-        on: linuxcnc::On,
-    },
+    LinuxCnc(LinuxCnc),
     /// Prints the size of the firmware images.
     Size,
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
@@ -152,6 +148,35 @@ enum Command {
 }
 
 #[derive(Args)]
+#[command(args_conflicts_with_subcommands = true)]
+struct LinuxCnc {
+    /// Where the bridge's firmware runs.
+    #[arg(long, value_enum, default_value_t)]
+    on: linuxcnc::On,
+    #[command(subcommand)]
+    command: Option<LinuxCncCommand>,
+}
+
+#[derive(Subcommand)]
+enum LinuxCncCommand {
+    /// Lets drawn events happen to it while offsets act, and judges every servo cycle: half an hour.
+    Abuse {
+        /// How many servo cycles of a millisecond, all ways together.
+        #[arg(long, default_value_t = 1_000_000)]
+        cycles: u64,
+        /// How many events at least.
+        #[arg(long, default_value_t = 1_000)]
+        events: u64,
+        /// Draws the same events again; others each time by default.
+        #[arg(long)]
+        seed: Option<u64>,
+        /// How offsets enter, with commas between.
+        #[arg(long, default_value = "joint,eoffset,no-board")]
+        ways: String,
+    },
+}
+
+#[derive(Args)]
 struct Verify {
     /// The long tier: long tests, LinuxCNC, the distribution's compiler.
     #[arg(long)]
@@ -209,7 +234,7 @@ fn main() -> ExitCode {
         Command::Verify(_) => verify::run(Tier::Quick),
         Command::Virtual(options) => run_virtual(options),
         Command::Chip(ChipOptions { options }) => run_chip(options),
-        Command::LinuxCnc { on } => linuxcnc::run_and_publish(on).map(drop),
+        Command::LinuxCnc(options) => run_linuxcnc(options),
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
         Command::Images => firmware::carried().map(|folder| trueup_output::line(folder.display())),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
@@ -332,6 +357,15 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
         bail!("the report has a violation: the chip would not do what the image asks");
     }
     Ok(())
+}
+
+fn run_linuxcnc(LinuxCnc { on, command }: LinuxCnc) -> Result<()> {
+    match command {
+        None => linuxcnc::run_and_publish(on).map(drop),
+        Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
+            campaign::abuse(cycles, events, seed.unwrap_or_else(any_seed), &ways)
+        }
+    }
 }
 
 /// Returns a bar that is shown.

@@ -84,6 +84,23 @@ pub fn volumes(count: u32) -> Result<()> {
     process::run(&mut test)
 }
 
+/// Lets events drawn by this seed happen to the real LinuxCNC with offsets that act, by each of these ways of entering
+/// (`joint`, `eoffset`, `no-board`, with commas), until these numbers of servo cycles and events are reached; every cycle is judged.
+/// Prints a table.
+///
+/// # Errors
+/// It does not build, or a requirement is not reached.
+pub fn abuse(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
+    let mut test = cargo::locked("test");
+    test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
+        .args(["--ignored", "--exact", "abuse::campaign_abuse", "--nocapture"])
+        .env("TRUEUP_ABUSE_CYCLES", cycles.to_string())
+        .env("TRUEUP_ABUSE_EVENTS", events.to_string())
+        .env("TRUEUP_ABUSE_SEED", seed.to_string())
+        .env("TRUEUP_ABUSE_WAYS", ways);
+    process::run(&mut test)
+}
+
 /// Lets each of the fuzz targets run for this many minutes, one on each core at a time; prints how many inputs
 /// each has had.
 ///

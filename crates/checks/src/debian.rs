@@ -18,7 +18,7 @@ use crate::cargo;
 /// The version that the manifest is written for.
 const CARGO_DEB: &str = "3.8.0";
 
-/// Builds the package into `target/debian` and gives its path.
+/// Builds the package of this computer's platform into `target/debian` and gives its path.
 ///
 /// # Errors
 /// The firmware or the tool does not build, or cargo-deb cannot be had or fails.
@@ -28,10 +28,23 @@ pub fn package() -> Result<PathBuf> {
     process::run(cargo::locked("build").args(["--release", "--package", "trueup-cli"]))?;
     let root = setup::root();
     describe(&root.join("target/release/trueup"), &root.join("target/deb"))?;
+    packed(&[])
+}
+
+/// Packs the tool that was built for another Linux, as Rust names it, with the pages that [`package`] has left.
+///
+/// # Errors
+/// cargo-deb cannot be had or fails.
+pub fn package_for(target: &str) -> Result<PathBuf> {
+    packed(&["--target", target])
+}
+
+fn packed(target: &[&str]) -> Result<PathBuf> {
+    let root = setup::root();
     let cargo_deb = cargo::tool("cargo-deb", CARGO_DEB)?;
     let mut make = Command::new(cargo_deb);
-    make.args(["--no-build", "--package", "trueup-cli", "--output"])
-        .arg(root.join("target/debian"));
+    make.args(["--no-build", "--package", "trueup-cli"]).args(target);
+    make.arg("--output").arg(root.join("target/debian"));
     process::run(make.current_dir(&root))?;
     let packages = fs::read_dir(root.join("target/debian"))?.flatten().map(|entry| entry.path());
     let packages = packages.filter(|path| path.extension().is_some_and(|kind| kind == "deb"));

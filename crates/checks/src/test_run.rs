@@ -26,6 +26,9 @@ use crate::{cargo, tally::Tally};
 const SELECTION: [&str; 2] = ["--features", "trueup-host-tests/emulator"];
 /// How many run at a time.
 const AT_A_TIME: usize = 2;
+/// One LinuxCNC runs at a time, and it mostly waits for its axes: one worker takes the programs that start it, with this in
+/// their names, so that the other does not stand behind it.
+const ONE_AT_A_TIME: &str = "linuxcnc";
 /// How many of the last lines are printed of a program that ended before its tests had.
 const LAST_LINES: usize = 50;
 
@@ -107,21 +110,30 @@ pub fn documentation() -> Result<Tally> {
 /// # Errors
 /// One cannot be started.
 pub fn run(programs: &[Program], arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
-    let open = Mutex::new(programs.iter());
+    let open = Mutex::new(programs.iter().collect::<Vec<_>>());
     let total = Mutex::new(Tally::default());
     std::thread::scope(|scope| {
-        let work = || -> Result<()> {
+        let (open, total) = (&open, &total);
+        let work = move |worker: usize| -> Result<()> {
             loop {
-                let next = open.lock().expect("no worker panics").next();
+                let next = take(&mut open.lock().expect("no worker panics"), worker == 0);
                 let Some(program) = next else { return Ok(()) };
                 let tally = run_one(program, arguments, variables)?;
                 total.lock().expect("no worker panics").add(tally);
             }
         };
-        let workers: Vec<_> = (0..AT_A_TIME).map(|_| scope.spawn(work)).collect();
+        let workers: Vec<_> =
+            (0..AT_A_TIME).map(|worker| scope.spawn(move || work(worker))).collect();
         workers.into_iter().try_for_each(|worker| worker.join().expect("no worker panics"))
     })?;
     Ok(total.into_inner().expect("no worker panics"))
+}
+
+/// Takes the next of the programs, rather one that starts LinuxCNC, or rather one that does not.
+fn take<'a>(open: &mut Vec<&'a Program>, starts_linuxcnc: bool) -> Option<&'a Program> {
+    let fits = |program: &&Program| program.name.contains(ONE_AT_A_TIME) == starts_linuxcnc;
+    let place = open.iter().position(fits).or((!open.is_empty()).then_some(0))?;
+    Some(open.remove(place))
 }
 
 fn run_one(program: &Program, arguments: &[&str], variables: &[(&str, &str)]) -> Result<Tally> {
@@ -208,6 +220,22 @@ mod tests {
         assert_eq!(tally.failures, ["x ended before its tests had"]);
         assert!(of_the_failed(&said).contains("ended before"), "{said}");
         Ok(())
+    }
+
+    #[test]
+    fn one_worker_takes_what_starts_linuxcnc_and_both_take_all_of_it() {
+        let program = |name: &str| Program {
+            name: name.into(),
+            executable: PathBuf::new(),
+            folder: PathBuf::new(),
+        };
+        let programs = ["x/chip", "x/linuxcnc_joint", "x/demo", "x/programs_linuxcnc"].map(program);
+        let mut open: Vec<_> = programs.iter().collect();
+        let taken: Vec<_> = [true, false, true, true, false, false]
+            .map(|starts| take(&mut open, starts).map(|program| program.name.as_str()))
+            .into();
+        let expected = ["x/linuxcnc_joint", "x/chip", "x/programs_linuxcnc", "x/demo"].map(Some);
+        assert_eq!((&taken[..4], &taken[4..]), (&expected[..], &[None, None][..]));
     }
 
     #[test]

@@ -6,7 +6,8 @@ use anyhow::{Context as _, Result};
 
 use crate::{UserError, output::FileSet};
 
-/// The image for QEMU.
+/// The image for QEMU, which `trueup virtual` starts.
+#[cfg(unix)]
 pub const VIRTUAL: &str = "trueup-virtual.elf";
 
 /// Name and bytes of each; none in a build for tests, or where they could not be built.

@@ -1,10 +1,12 @@
-//! `trueup fleet`: jobs in a folder or on a NATS server, workers, and what the results say of a series.
+//! `trueup fleet`: jobs in a folder or on a NATS server, workers, and what the results say of a series; records of bridges
+//! on that server.
 
 mod job;
 mod place;
+mod records;
 mod server;
 
-use std::{fs, path::PathBuf, time::Duration};
+use std::{fs, io, path::PathBuf, time::Duration};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, Subcommand};
@@ -32,6 +34,7 @@ pub enum Command {
     Status(Status),
     Diagnose(Diagnose),
     Server(server::Server),
+    Records(records::Records),
 }
 
 /// Puts a diagnosis of one machine into the folder, or on the server, for a worker.
@@ -66,7 +69,8 @@ pub struct Worker {
     /// End once every job has a result or has failed; left out, wait for more.
     #[arg(long)]
     until_empty: bool,
-    /// How long a worker may be silent before another one takes its job, in s.
+    /// How long a worker may be silent before another one takes its job, in s. On a server it is one for all workers: it
+    /// is set while none of them has a job.
     #[arg(long, value_name = "S", default_value_t = 10.0, value_parser = above_zero)]
     lease_s: f64,
 }
@@ -103,6 +107,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
         Command::Status(args) => status(args, as_json),
         Command::Diagnose(args) => diagnose(args, as_json),
         Command::Server(args) => server::run(args, as_json),
+        Command::Records(args) => records::run(args),
     }
 }
 
@@ -145,7 +150,7 @@ fn work(args: &Worker, as_json: bool) -> Result<Outcome> {
     // What is doubtful in the files was said when they were submitted.
     let worked = report::with_warnings(false, || match &opened {
         Opened::Folder(store) => worker::work(store, options, &job::diagnose),
-        Opened::Server(remote) => remote.work(options, &job::diagnose),
+        Opened::Server(remote) => remote.work(options, &job::diagnose, &|text| report::warn(text)),
     });
     let Tally { done, failed } = worked.with_context(|| args.place.to_string())?;
     let status = opened.status()?;
@@ -204,7 +209,10 @@ fn diagnose(args: &Diagnose, as_json: bool) -> Result<Outcome> {
         Opened::Folder(store) => (store, Vec::new()),
         Opened::Server(remote) => {
             let store = Store::create(&args.out.join("copy"))?;
-            let damaged = remote.fetch_results(&store)?;
+            let damaged = remote.fetch_results(&store).map_err(|error| match error.kind() {
+                io::ErrorKind::AlreadyExists => UserError(error.to_string()).into(),
+                _ => anyhow::Error::from(error),
+            })?;
             (store, damaged)
         }
     };

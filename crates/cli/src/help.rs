@@ -85,7 +85,11 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("fleet worker", "trueup fleet worker --dir shop --threads 2 --until-empty"),
     ("fleet status", "trueup fleet status --dir shop"),
     ("fleet diagnose", "trueup fleet diagnose --dir shop --out series"),
-    ("fleet server", "trueup fleet server --dir fleet-server --listen 127.0.0.1:4222"),
+    (
+        "fleet server",
+        "trueup fleet server --dir fleet-server --listen 127.0.0.1:4222 --mqtt 127.0.0.1:1883",
+    ),
+    ("fleet records", "trueup fleet records --nats nats://127.0.0.1:4222 > records.jsonl"),
     ("linuxcnc", "trueup linuxcnc --port tcp:127.0.0.1:7700 --machine machine.toml"),
     (
         "linuxcnc check",
@@ -101,7 +105,9 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("show", "trueup show mill.bin > shown.toml"),
     (
         "program",
-        "trueup program backlash --machine mill/mill.toml --for siemens --range z=-120:-20 -o measure",
+        "trueup program backlash --machine mill/mill.toml --for siemens --range z=-120:-20 -o measure\n  \
+         trueup program circle --machine mill/mill.toml --for fanuc -o measure\n  \
+         trueup program plate --machine mill/mill.toml --for linuxcnc --range z=-290:-10 --at x=60,y=60,z=-250 --ball 20 --stylus 6 --step-mm 90 --balls 5x3 -o measure",
     ),
     (
         "sign",

@@ -1,5 +1,6 @@
 //! `trueup program`: the motion programs that measure a machine, and the run files to be filled in.
 
+mod artefact;
 mod motion;
 
 use std::{
@@ -45,16 +46,20 @@ pub struct Program {
     axis: Vec<Axis>,
     #[command(flatten)]
     motion: Motion,
-    /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000.
+    #[command(flatten)]
+    artefact: artefact::Artefact,
+    /// The feed of the moves before a reading, in mm/min; backlash is measured at each of several. 1000; of a circle
+    /// 10 radii a minute, at most 1000; of a touch 60.
     #[arg(long, value_name = "MM/MIN", value_delimiter = ',')]
     feed: Vec<f64>,
     /// How long the axes stand for a reading, in s.
     #[arg(long, value_name = "S", default_value_t = Options::default().dwell_s)]
     dwell_s: f64,
-    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, 6 rounds of heat.
+    /// How often; left out, 7 for backlash, 5 for pitch, 3 for straightness and diagonal, 2 for step-diagonal, square, sphere and plate, 6
+    /// rounds of heat.
     #[arg(long, value_name = "N")]
     repeats: Option<u32>,
-    /// From target to target, in mm.
+    /// From target to target, in mm; of a plate from ball to ball.
     #[arg(long, value_name = "MM")]
     step_mm: Option<f64>,
     /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
@@ -94,6 +99,14 @@ enum What {
     Diagonal,
     /// The four body diagonals in steps of one axis at a time, for a laser: `fit volume`.
     StepDiagonal,
+    /// A circle in both directions, in each plane, for a ball bar or another instrument that reads its radius: `fit circle`.
+    Circle,
+    /// Both faces of a square, by the touch probe of the control (LinuxCNC): `fit volume`.
+    Square,
+    /// A sphere at one place, at angles of the table and with several styli, by the touch probe (LinuxCNC): `fit volume`.
+    Sphere,
+    /// A ball plate, by the touch probe (LinuxCNC): `fit volume`.
+    Plate,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
@@ -151,6 +164,10 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
         What::AxisHeat => Kind::AxisHeat,
         What::Diagonal => Kind::Diagonal,
         What::StepDiagonal => Kind::StepDiagonal,
+        What::Circle => Kind::Circle,
+        What::Square => Kind::Square,
+        What::Sphere => Kind::Sphere,
+        What::Plate => Kind::Plate,
     };
     let control = args.control.control();
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
@@ -165,7 +182,7 @@ pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     let mut lines = Vec::new();
     for plan in &mut plans {
         plan.then = whole_lines(&plan.then, args);
-        let (name, text) = control::program(plan, control);
+        let (name, text) = control::program(plan, control).map_err(refused)?;
         let templates = template::templates(plan);
         let runs: Vec<&str> = templates.iter().map(|(name, _)| name.as_str()).collect();
         let readings = plan.readings().len();
@@ -244,6 +261,7 @@ fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {
         heat_feed_mm_per_min: args.heat_feed,
         ..args.motion.options()?
     };
+    args.artefact.put(&mut options)?;
     if let Some(text) = &args.range_mm {
         let ends = motion::ends(text).ok_or_else(|| {
             UserError(format!("--range-mm {text}: must be like 500:1500, the smaller first"))

@@ -77,11 +77,11 @@ pub struct Serve {
     once: bool,
 }
 
-/// Parses a name that is a level of a topic.
+/// Parses a name that is a level of a topic. NATS refuses a topic with a space, and closes the connection.
 fn node_name(text: &str) -> Result<String, String> {
-    let is_sound = |c: char| c.is_alphanumeric() || "-_. ".contains(c);
+    let is_sound = |c: char| c.is_alphanumeric() || "-_.".contains(c);
     if text.is_empty() || text.len() > 64 || !text.chars().all(is_sound) {
-        return Err("has 1 to 64 letters, digits, -, _, . or spaces".into());
+        return Err("has 1 to 64 letters, digits, -, _ or ., and no space".into());
     }
     Ok(text.into())
 }

@@ -121,6 +121,11 @@ impl fmt::Display for Unusable {
             Self::Folder { path, error } => {
                 write!(f, "{}: cannot be made: {error}", path.display())
             }
+            Self::File { path, error } if error.kind() == io::ErrorKind::AlreadyExists => write!(
+                f,
+                "{}: the recording cannot be created: another one is there, and stays; give --record another name",
+                path.display()
+            ),
             Self::File { path, error } => {
                 write!(f, "{}: the recording cannot be created: {error}", path.display())
             }

@@ -461,7 +461,7 @@ mod tests {
         let begin = |name: &str| Recorder::begin(&folder.path().join(name), None, "can0", None);
         begin("here").expect("a new folder");
         for (name, phrase) in [
-            ("here", "bridge.log: the recording cannot be created: "),
+            ("here", "bridge.log: the recording cannot be created: another one is there"),
             ("here/bridge.csv", "bridge.log: the recording cannot be created: "),
             ("none/run.log", "run.log: the recording cannot be created: "),
         ] {

@@ -89,7 +89,7 @@ impl Hand {
             }
             "again" => {
                 self.again.store(true, Ordering::Relaxed);
-                "the run begins again"
+                "the machine is cold; the run begins when the bridge has followed"
             }
             "close" => {
                 self.switch_is_closed.store(true, Ordering::Relaxed);

@@ -5,6 +5,7 @@
 //! leases/ID.N                                   the N-th worker that took the job
 //! results/ID/result.json, out/…                 out: what `trueup diagnose --out` writes
 //! failed/ID.json                                why the job cannot be done
+//! copy-of                                       of which fleet on a server the folder is a copy
 //! tmp/…                                         not yet whole
 //! ```
 //!
@@ -62,6 +63,11 @@ impl Store {
     #[must_use]
     pub fn failed(&self, id: &str) -> PathBuf {
         self.root.join("failed").join(format!("{id}.json"))
+    }
+
+    /// Returns the file that says of which fleet on a server this folder is a copy.
+    pub(crate) fn copy_of(&self) -> PathBuf {
+        self.root.join("copy-of")
     }
 
     /// Returns the names in one of the folders, sorted.

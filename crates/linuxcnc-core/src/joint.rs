@@ -13,6 +13,11 @@
 //! to find the same places as before, it has to stay, and new offsets are added to it. So the base is the offset that
 //! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never
 //! further from the planner's machine than the offset of the axis; both are counted without the base.
+//!
+//! `moveoff` computes as `limit3` does, and has a fault (2.9, read and measured): from rest, with an input that stands
+//! above its output, it goes down by acceleration · period² in every other cycle, away from its goal and beyond
+//! `offset-max`, which limits the input alone. An input that changes is followed. So a goal that stands and is not reached
+//! changes by a nanometre at every step, towards the base.
 
 use core::time::Duration;
 
@@ -26,6 +31,8 @@ const SAME_NM: f64 = 1e-3;
 const MOVED_NM: f64 = 1.0;
 /// An offset that is not at its goal and has not moved for so long is not taken.
 const LOST_AFTER: Duration = Duration::from_secs(1);
+/// By how much a goal changes that is above the offset, in nanometres: a tenth of the wire's resolution.
+const KICK_NM: f64 = 1.0;
 
 /// Settings of a joint that gets an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -87,7 +94,7 @@ pub struct Applied {
     pub arrived: bool,
     /// True if a joint stands back from its limit.
     pub limited: bool,
-    /// True if `moveoff` does not bring a joint to its goal.
+    /// True if `moveoff` does not bring a joint towards its goal.
     pub not_taken: bool,
 }
 
@@ -106,8 +113,10 @@ struct State {
     reference_nm: Option<f64>,
     /// The offset follows the bridge: the machine was ready at the step before.
     follows: bool,
-    /// Where the offset stands off its goal, and since when.
+    /// Where the offset stands off its goal or goes away from it, and since when.
     stands: Option<(f64, Duration)>,
+    /// The goal of the step before, and whether it was changed by [`KICK_NM`].
+    given: (f64, bool),
 }
 
 /// The offsets of all joints.
@@ -162,7 +171,7 @@ impl JointOffsets {
             }
             let max = f64::from(step.max_nm[axis].max(0));
             goals[index] = JointGoal {
-                offset_nm: state.offset_nm,
+                offset_nm: state.offset_nm + state.kick(reading),
                 min_nm: state.base_nm - max,
                 max_nm: state.base_nm + max,
             };
@@ -200,7 +209,20 @@ impl State {
         self.follows = follows;
     }
 
-    /// Returns whether `moveoff` leaves the offset where it is, off its goal.
+    /// Returns by how much the goal is changed now, in nanometres: in every other step, while it stands above the offset.
+    fn kick(&mut self, reading: &JointReading) -> f64 {
+        let (before_nm, was_kicked) = self.given;
+        let stands = (self.offset_nm - before_nm).abs() <= SAME_NM;
+        let is_kicked = stands && !was_kicked && self.offset_nm - reading.now_nm > SAME_NM;
+        self.given = (self.offset_nm, is_kicked);
+        match (is_kicked, self.offset_nm > self.base_nm) {
+            (false, _) => 0.0,
+            (true, true) => -KICK_NM,
+            (true, false) => KICK_NM,
+        }
+    }
+
+    /// Returns whether `moveoff` leaves the offset where it is, off its goal, or moves it away from there.
     fn is_lost(&mut self, now: Duration, reading: &JointReading) -> bool {
         let is_off = (reading.now_nm - self.offset_nm).abs() > APPLIED_WITHIN_NM;
         if !self.follows || !is_off {
@@ -208,7 +230,8 @@ impl State {
             return false;
         }
         let (at_nm, since) = *self.stands.get_or_insert((reading.now_nm, now));
-        if (reading.now_nm - at_nm).abs() > MOVED_NM {
+        let towards = (self.offset_nm - at_nm).signum();
+        if (reading.now_nm - at_nm) * towards > MOVED_NM {
             self.stands = Some((reading.now_nm, now));
             return false;
         }
@@ -349,6 +372,69 @@ mod tests {
             world.reading.homing = false;
             assert_eq!(world.step(true, Some(40_000)), 40_000.0, "{is_homing}");
         }
+    }
+
+    /// `moveoff` at rest, with an acceleration of 200 nm a cycle², as LinuxCNC 2.9 computes.
+    struct Limiter {
+        goal_nm: f64,
+        now_nm: f64,
+        speed: f64,
+    }
+
+    impl Limiter {
+        fn step(&mut self, goal_nm: f64) {
+            const STEP: f64 = 200.0;
+            let stands = self.goal_nm.to_bits() == goal_nm.to_bits();
+            let to_go = goal_nm - self.now_nm;
+            self.goal_nm = goal_nm;
+            self.speed = if stands && to_go > STEP && self.speed <= 0.0 {
+                // The fault: down, and to rest again.
+                if self.speed == 0.0 { -STEP } else { 0.0 }
+            } else {
+                to_go.clamp(self.speed - STEP, self.speed + STEP).clamp(-1_200.0, 1_200.0)
+            };
+            self.now_nm += self.speed;
+        }
+    }
+
+    #[test]
+    fn moveoff_reaches_a_goal_above_it_from_rest_also_while_the_offset_is_held() {
+        for (goal, ready) in [(40_000, true), (-30_000, true), (100_000, true), (-30_000, false)] {
+            let mut world = World::new();
+            world.reading.now_nm = -30_000.0;
+            world.step(true, Some(goal));
+            let at = if ready { -99_000.0 } else { -30_000.0 };
+            world.reading.now_nm = at;
+            world.step(ready, Some(goal));
+            // It has overshot, and is at rest below.
+            let mut moveoff = Limiter { goal_nm: f64::from(goal), now_nm: -99_000.0, speed: 0.0 };
+            let mut least = 0.0_f64;
+            for _ in 0..2_000 {
+                world.share = 0.0;
+                world.reading.now_nm = moveoff.now_nm;
+                let goal_nm = world.step(ready, Some(goal));
+                moveoff.step(goal_nm);
+                least = least.min(moveoff.now_nm);
+            }
+            assert!(
+                (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * KICK_NM,
+                "{goal} {}",
+                moveoff.now_nm
+            );
+            assert!(least >= -99_400.0, "it went the wrong way: {least} nm");
+        }
+    }
+
+    #[test]
+    fn an_offset_that_goes_away_from_its_goal_is_not_taken() {
+        let mut world = World::new();
+        world.share = 0.0;
+        let steps = (0..3_000).find(|_| {
+            world.step(true, Some(40_000));
+            world.reading.now_nm -= 100.0;
+            world.applied.not_taken
+        });
+        assert_eq!(steps, Some(1_000));
     }
 
     #[test]

@@ -24,18 +24,28 @@ pub fn lines(text: &str) -> String {
     Escaped { text, keep: &['\n', '\t'] }.to_string()
 }
 
-/// Returns the text as a shell takes it for one word: quoted where it has more than letters, digits and `=_-./:,+`.
+/// Returns the text as a shell takes it for one word: quoted where it has more than letters, digits and `=_-./:,+`. On
+/// Windows the quotation marks are double, which both of its shells take, and a backslash is plain.
 ///
 /// ```
 /// use trueup_output::escape::shell_word;
 /// assert_eq!(shell_word("run.csv"), "run.csv");
+/// # #[cfg(unix)]
 /// assert_eq!(shell_word("Messuhr [µm]=µm"), "'Messuhr [µm]=µm'");
 /// ```
 #[must_use]
 pub fn shell_word(text: &str) -> String {
-    let is_plain =
-        !text.is_empty() && text.chars().all(|c| c.is_alphanumeric() || "=_-./:,+".contains(c));
-    if is_plain { text.into() } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    word(text, cfg!(windows))
+}
+
+fn word(text: &str, is_windows: bool) -> String {
+    let plain = if is_windows { r"=_-./:,+\" } else { "=_-./:,+" };
+    match !text.is_empty() && text.chars().all(|c| c.is_alphanumeric() || plain.contains(c)) {
+        true => text.into(),
+        // No name of a file has a double quotation mark there.
+        false if is_windows => format!("\"{text}\""),
+        false => format!("'{}'", text.replace('\'', "'\\''")),
+    }
 }
 
 struct Escaped<'t> {
@@ -58,6 +68,14 @@ impl Display for Escaped<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_is_one_word_in_the_shells_of_both_systems() {
+        assert_eq!(word("a b's.csv", false), r"'a b'\''s.csv'");
+        assert_eq!(word(r"found\extended.toml", false), r"'found\extended.toml'");
+        assert_eq!(word(r"found\extended.toml", true), r"found\extended.toml");
+        assert_eq!(word(r"C:\my runs\r.csv", true), r#""C:\my runs\r.csv""#);
+    }
 
     #[test]
     fn what_moves_a_cursor_or_turns_a_line_is_written_out_and_letters_stay() {

@@ -1,11 +1,17 @@
 //! A plan as the text that a control runs.
 //!
-//! | control | machine coordinates | repeats | dwell |
-//! |---|---|---|---|
-//! | LinuxCNC | `G53` in each block | `o101 repeat [7]` | `G4 P5` |
-//! | FANUC | the way from `#5021` to `#5023`, as `G53` moves at rapid only; then increments (`G91`) | `M98 P7101 L7` | `G04 X5.` |
-//! | Siemens 840D sl | `SUPA` in each block | `FOR R1=1 TO 7` | `G4 F5` |
-//! | HEIDENHAIN | `M91` in each block | `LBL 1` … `CALL LBL 1 REP 6` | cycle 9 |
+//! | control | machine coordinates | circles, by ways from their start | repeats | dwell |
+//! |---|---|---|---|---|
+//! | LinuxCNC | `G53` in each block | `G91 G91.1 G3 X0 Y0 I-100 J0` | `o101 repeat [7]` | `G4 P5` |
+//! | FANUC | the way from `#5021` to `#5023`, as `G53` moves at rapid only; then increments (`G91`) | `G91 G03 X0. Y0. I-100. J0.` | `M98 P7101 L7` | `G04 X5.` |
+//! | Siemens 840D sl | `SUPA` in each block | `G3 X=IC(0) Y=IC(0) I-100 J0` | `FOR R1=1 TO 7` | `G4 F5` |
+//! | HEIDENHAIN | `M91` in each block | refused: `M91` does not hold there | `LBL 1` … `CALL LBL 1 REP 6` | cycle 9 |
+//!
+//! A touch probe is read by LinuxCNC alone (`G38.2`), which writes the run file itself (`LOG`): the words of the others depend on how
+//! their builder has wired the probe.
+//!
+//! A rotation, a mirror or a scale that an earlier program left would turn the way to a centre: it ends the program before
+//! anything moves.
 //!
 //! Every program begins with a stop ([`Plan::first_stop`]), then sets the modes that it needs; no block moves at
 //! rapid, and none by a way from a place that the program does not know. No form depends on a work offset. Positions are whole micrometres, so that increments add up to
@@ -19,12 +25,15 @@ mod heidenhain;
 mod linuxcnc;
 mod siemens;
 
-use self::dialect::{Dialect, Ends};
+use self::dialect::{Around, Cell, Dialect, Ends, Touching};
 use trueup_machine::{Machine, file::Kind};
 
 use crate::{
-    plan::{Plan, Step},
+    arc::Arc,
+    plan::{Column, Plan, Reading, Step},
+    probe::Found,
     refused::Refused,
+    template,
 };
 
 /// Whose program it is.
@@ -64,23 +73,41 @@ impl Control {
 }
 
 /// Returns the name and text of the program.
-#[must_use]
-pub fn program(plan: &Plan, control: Control) -> (String, String) {
+///
+/// # Errors
+/// The control cannot do a step of the plan.
+pub fn program(plan: &Plan, control: Control) -> Result<(String, String), Refused> {
+    if control == Control::Heidenhain && plan.steps.iter().any(|step| matches!(step, Step::Arc(_)))
+    {
+        return Err(Refused(format!(
+            "no {} for this control: M91 does not hold in the blocks of a circle, and a basic rotation would turn it. Program \
+             the circle by hand around a preset, with the positions of the program for siemens, and fill in its run file",
+            plan.name
+        )));
+    }
+    let is_probed = plan.steps.iter().any(|step| matches!(step, Step::Touch(_)));
+    if is_probed && control != Control::LinuxCnc {
+        return Err(Refused(format!(
+            "no {} for this control: how it reads a probe outside of its own cycles depends on its builder. Touch the places of the \
+             program for linuxcnc by the control's own measuring cycles, and fill in its run file",
+            plan.name
+        )));
+    }
     let name = plan.name.replace('-', "_");
     let text = |mut dialect: Box<dyn Dialect>| {
         dialect.head(plan);
         dialect.stop(&plan.first_stop());
-        dialect.modes(plan.is_lathe);
+        dialect.modes(plan);
         let mut at_um = [None; 3];
         write(plan, &plan.steps, dialect.as_mut(), &mut at_um);
         dialect.end()
     };
-    match control {
+    Ok(match control {
         Control::LinuxCnc => (format!("{name}.ngc"), text(Box::<linuxcnc::Text>::default())),
         Control::Fanuc => (format!("{name}.nc"), text(Box::<fanuc::Text>::default())),
         Control::Siemens => (format!("{name}.mpf"), text(Box::<siemens::Text>::default())),
         Control::Heidenhain => (format!("{name}.h"), text(Box::<heidenhain::Text>::default())),
-    }
+    })
 }
 
 fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Option<i64>; 3]) {
@@ -100,6 +127,25 @@ fn write(plan: &Plan, steps: &[Step], dialect: &mut dyn Dialect, at_um: &mut [Op
             Step::Move { to_mm, feed_mm_per_min } => {
                 dialect.line(&ends(plan, to_mm, at_um), *feed_mm_per_min);
             }
+            Step::Arc(arc) => {
+                if let Some(around) = around(arc, at_um) {
+                    dialect.around(&around);
+                }
+            }
+            Step::Guarded { axis, to_mm } => {
+                let to = micrometres(*to_mm);
+                at_um[*axis] = Some(to);
+                dialect.guarded(*axis, to, plan.approach_mm_per_min);
+            }
+            Step::Touch(touch) => {
+                let (axis, number, feed) = (touch.axis, touch.number, touch.feed_mm_per_min);
+                let to = micrometres(touch.to_mm);
+                if let Some(from) = at_um[axis] {
+                    let touching = Touching { axis, from, to, feed, number };
+                    dialect.touch(&touching, plan.approach_mm_per_min);
+                }
+            }
+            Step::Found(found) => dialect.found(&cells(plan, found)),
             Step::Spindle(rpm) => dialect.spindle(*rpm),
             Step::Dwell(s) => dialect.dwell(*s, false),
             Step::Read(s) => dialect.dwell(*s, true),
@@ -122,6 +168,36 @@ fn ends(plan: &Plan, to_mm: &[Option<f64>; 3], at_um: &mut [Option<i64>; 3]) -> 
         axes.push((axis, at_um[axis].replace(to), to));
     }
     Ends { axes }
+}
+
+/// Returns the row of what touches have found.
+fn cells(plan: &Plan, found: &Found) -> Vec<Cell> {
+    let reading = Reading::of(found);
+    let cell = |column: &Column| {
+        let name = template::name(column);
+        let measured = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
+        let mean = measured.iter().position(|it| *it == name).and_then(|axis| found.by[axis]);
+        mean.map_or_else(|| Cell::Text(template::cell(column, &reading)), Cell::Found)
+    };
+    plan.columns.iter().map(cell).collect()
+}
+
+/// Returns the blocks of an arc, and puts the axes to its end; `None` where it is not known from where it goes.
+fn around(arc: &Arc, at_um: &mut [Option<i64>; 3]) -> Option<Around> {
+    let mut from = [at_um[arc.axes[0]]?, at_um[arc.axes[1]]?];
+    let centre = arc.centre_mm.map(micrometres);
+    let mut blocks = Vec::new();
+    for turn_deg in arc.blocks_deg() {
+        let block = Arc { turn_deg, ..*arc };
+        let end = block.end_mm(from.map(|um| um as f64 / 1000.0)).map(micrometres);
+        let way = |to: [i64; 2]| [0, 1].map(|n| to[n] - from[n]);
+        blocks.push((turn_deg > 0.0, way(end), way(centre)));
+        from = end;
+    }
+    for (axis, um) in arc.axes.into_iter().zip(from) {
+        at_um[axis] = Some(um);
+    }
+    Some(Around { axes: arc.axes, blocks, feed: arc.feed_mm_per_min })
 }
 
 /// A machine is far shorter than what an i64 holds.

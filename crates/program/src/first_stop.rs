@@ -72,10 +72,17 @@ impl Plan {
     /// Returns the approaches before the first measuring move, reading or further stop.
     fn first_approaches(&self) -> Vec<(usize, f64)> {
         let is_before = |step: &&Step| {
-            !matches!(step, Step::Move { .. } | Step::Read(_) | Step::Stop(_) | Step::Repeat { .. })
+            matches!(
+                step,
+                Step::Approach { .. }
+                    | Step::Guarded { .. }
+                    | Step::Note(_)
+                    | Step::Spindle(_)
+                    | Step::Dwell(_)
+            )
         };
         let approach = |step: &Step| match step {
-            Step::Approach { axis, to_mm } => Some((*axis, *to_mm)),
+            Step::Approach { axis, to_mm } | Step::Guarded { axis, to_mm } => Some((*axis, *to_mm)),
             _ => None,
         };
         self.steps.iter().take_while(is_before).filter_map(approach).collect()

@@ -11,6 +11,8 @@
 //! | module | does |
 //! |---|---|
 //! | [`plan`] | moves, dwells and readings, and the walk through them |
+//! | [`arc`] | circles |
+//! | [`probe`] | the steps of a touch probe |
 //! | `travel` | where an axis may move, and from which end |
 //! | `first_stop` | what the operator reads before anything moves |
 //! | `refused` | what does not fit |
@@ -20,11 +22,13 @@
 //! | [`template`] | the run file to be filled in |
 #![forbid(unsafe_code)]
 
+pub mod arc;
 pub mod control;
 mod first_stop;
 mod kind;
 pub mod options;
 pub mod plan;
+pub mod probe;
 mod refused;
 pub mod template;
 mod travel;
@@ -55,6 +59,14 @@ pub enum Kind {
     Diagonal,
     /// The four body diagonals, one axis at a time.
     StepDiagonal,
+    /// A circle in both directions, in each plane.
+    Circle,
+    /// A square, by a touch probe.
+    Square,
+    /// A sphere, by a touch probe.
+    Sphere,
+    /// A ball plate, by a touch probe.
+    Plate,
 }
 
 /// Returns the plans of `kind` for this machine, one for each axis, plane or spindle; and notes of what has none.
@@ -75,6 +87,10 @@ pub fn plans(
         Kind::AxisHeat => kind::axis_heat::plans(machine, options),
         Kind::Diagonal => kind::diagonal::plans(machine, options),
         Kind::StepDiagonal => kind::step_diagonal::plans(machine, options),
+        Kind::Circle => kind::circle::plans(machine, options),
+        Kind::Square => kind::square::plans(machine, options),
+        Kind::Sphere => kind::sphere::plans(machine, options),
+        Kind::Plate => kind::plate::plans(machine, options),
     }?;
     plans
         .iter_mut()

@@ -32,6 +32,25 @@ pub struct Options {
     pub feeds_mm_per_min: Vec<f64>,
     /// How long the axes stand for a reading, in s.
     pub dwell_s: f64,
+    /// The place of what is measured, in mm: the centre of a circle, and where the axis stands that a program does not
+    /// move; `None`: a circle is in the middle of the ranges, and no place is stated.
+    pub at_mm: [Option<f64>; 3],
+    /// The radius of a circle in mm; `None`: the longest usual ball bar that has room.
+    pub radius_mm: Option<f64>,
+    /// The lengths of the tools or styli in mm, one after the other; none: that of the machine file counts.
+    pub tool_lengths_mm: Vec<f64>,
+    /// The diameter of the stylus ball of a touch probe, in mm.
+    pub stylus_mm: Option<f64>,
+    /// How far before a surface a touch begins and how far behind it ends, in mm; `None`: 3.
+    pub search_mm: Option<f64>,
+    /// The diameter of the balls of an artefact, in mm.
+    pub ball_mm: Option<f64>,
+    /// The balls of a plate along its first and second axis; `None`: 5 and 5.
+    pub balls: Option<[u32; 2]>,
+    /// The length of both faces of a square, in mm.
+    pub size_mm: Option<f64>,
+    /// The angles of A, B and C at which a sphere is touched; none: the axis is not turned.
+    pub angles_deg: [Vec<f64>; 3],
     /// How often; `None`: 7 for backlash, 5 for pitch, 3 for straightness and the diagonal, 6 rounds
     /// of heat.
     pub repeats: Option<u32>,
@@ -59,6 +78,15 @@ impl Default for Options {
             margin_mm: MARGIN_MM,
             feeds_mm_per_min: Vec::new(),
             dwell_s: 5.0,
+            at_mm: [None; 3],
+            radius_mm: None,
+            tool_lengths_mm: Vec::new(),
+            stylus_mm: None,
+            search_mm: None,
+            ball_mm: None,
+            balls: None,
+            size_mm: None,
+            angles_deg: [const { Vec::new() }; 3],
             repeats: None,
             step_mm: None,
             gauge: None,
@@ -101,6 +129,11 @@ impl Options {
         let above_zero = [
             ("--dwell-s", Some(self.dwell_s)),
             ("--step-mm", self.step_mm),
+            ("--radius", self.radius_mm),
+            ("--stylus", self.stylus_mm),
+            ("--search", self.search_mm),
+            ("--ball", self.ball_mm),
+            ("--size", self.size_mm),
             ("--rpm", self.spindle_rpm),
             ("--every-s", self.every_s),
             ("--approach", Some(self.approach_mm_per_min)),
@@ -108,7 +141,8 @@ impl Options {
             ("--heat-feed", Some(self.heat_feed_mm_per_min)),
         ];
         let feeds = self.feeds_mm_per_min.iter().map(|feed| ("--feed", Some(*feed)));
-        for (name, value) in above_zero.into_iter().chain(feeds) {
+        let lengths = self.tool_lengths_mm.iter().map(|mm| ("--tool-length", Some(*mm)));
+        for (name, value) in above_zero.into_iter().chain(feeds).chain(lengths) {
             if let Some(value) = value
                 && !(value > 0.0 && value <= MAX_NUMBER)
             {
@@ -128,6 +162,14 @@ impl Options {
         {
             let name = axis.name();
             return Err(Refused(format!("--clearance {name}={mm}: must be a way in mm, not 0")));
+        }
+        if self.angles_deg.iter().flatten().any(|deg| deg.is_nan() || deg.abs() > 360.0) {
+            return Err(Refused("--angle must be from -360 to 360 degrees".into()));
+        }
+        let places = self.at_mm.iter().zip(LinearAxis::ALL);
+        let mut far = places.filter_map(|(mm, axis)| Some((axis, (*mm)?)));
+        if let Some((axis, mm)) = far.find(|(_, mm)| mm.is_nan() || mm.abs() > MAX_NUMBER) {
+            return Err(Refused(format!("--at {}={mm}: must be a place in mm", axis.name())));
         }
         self.range_mm.iter().zip(LinearAxis::ALL).try_for_each(|(range, axis)| match *range {
             Some([low, high]) if !(-MAX_NUMBER <= low && low < high && high <= MAX_NUMBER) => {

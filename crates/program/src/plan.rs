@@ -1,7 +1,12 @@
 //! A measurement as a control is to run it, in no control's words.
 //!
-//! Positions are machine coordinates in mm. Each measured move is straight and at a stated feed; a
-//! reading is taken while the axes stand.
+//! Positions are machine coordinates in mm. Each measured move is straight or a circle, and at a stated feed; a
+//! reading is taken while the axes stand, or where a circle passes.
+
+use crate::{
+    arc::Arc,
+    probe::{Found, Touch},
+};
 
 /// A step of a plan.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +29,19 @@ pub enum Step {
         /// Along the line, above 0.
         feed_mm_per_min: f64,
     },
+    /// Around a centre at the feed of the measurement, from where the axes have been sent before.
+    Arc(Arc),
+    /// One axis to a position at the approach feed of the plan, with a touch probe: contact on the way ends the program.
+    Guarded {
+        /// X, Y or Z: 0, 1, 2.
+        axis: usize,
+        /// The end in mm.
+        to_mm: f64,
+    },
+    /// A touch probe touches.
+    Touch(Touch),
+    /// A reading by the touches before it. Stands outside of every repeat.
+    Found(Found),
     /// The spindle turns to the right; 0: it stops. In r/min.
     Spindle(f64),
     /// All stand.
@@ -48,12 +66,48 @@ pub struct Reading {
     pub position_mm: [Option<f64>; 3],
     /// The direction of each axis's last move: 1, −1; 0: none yet.
     pub direction: [i8; 3],
+    /// Where A, B and C stand, by what the operator was asked; `None`: not stated.
+    pub angle_deg: [Option<f64>; 3],
+    /// The length of the stylus in mm.
+    pub tool_length_mm: Option<f64>,
+    /// The number of the ball or of the point that was touched.
+    pub point: Option<u32>,
+    /// On a circle: 1 counter-clockwise, −1 clockwise; else 0.
+    pub sense: i8,
     /// The feed of the last measuring move in mm/min.
     pub feed_mm_per_min: Option<f64>,
     /// The spindle's speed in r/min.
     pub spindle_rpm: f64,
     /// Seconds that the dwells before it last, its own included.
     pub dwelt_s: f64,
+}
+
+impl Reading {
+    const NONE: Self = Self {
+        run: 1,
+        position_mm: [None; 3],
+        direction: [0; 3],
+        angle_deg: [None; 3],
+        tool_length_mm: None,
+        point: None,
+        sense: 0,
+        feed_mm_per_min: None,
+        spindle_rpm: 0.0,
+        dwelt_s: 0.0,
+    };
+
+    /// Returns the reading that touches have made.
+    #[must_use]
+    pub fn of(found: &Found) -> Self {
+        Self {
+            run: found.run,
+            position_mm: found.at_mm.map(Some),
+            angle_deg: found.angle_deg,
+            tool_length_mm: found.tool_length_mm,
+            point: found.point,
+            ..Self::NONE
+        }
+    }
 }
 
 /// A column of the run file, by its content.
@@ -69,6 +123,16 @@ pub enum Column {
     Stands(usize, f64),
     /// `dir_x` of an axis.
     Direction(usize),
+    /// `dir`: the direction of a circle.
+    Sense,
+    /// A column that has this value in each row.
+    Constant(&'static str, f64),
+    /// `c_deg` of a rotary axis.
+    Angle(usize),
+    /// `tool_length_mm`.
+    ToolLength,
+    /// `point`.
+    Point,
     /// `feed_mm_per_min`.
     Feed,
     /// `spindle_rpm`.
@@ -157,17 +221,9 @@ struct Walk {
 
 impl Walk {
     fn new(approach_mm_per_min: f64) -> Self {
-        let now = Reading {
-            run: 1,
-            position_mm: [None; 3],
-            direction: [0; 3],
-            feed_mm_per_min: None,
-            spindle_rpm: 0.0,
-            dwelt_s: 0.0,
-        };
         let (readings, extent_mm) = (Vec::new(), [None; 3]);
         Self {
-            now,
+            now: Reading::NONE,
             dwelt_s: 0.0,
             moved_s: 0.0,
             is_in_repeat: false,
@@ -186,7 +242,7 @@ impl Walk {
     fn one(&mut self, step: &Step) {
         match step {
             Step::Note(_) | Step::Stop(_) => {}
-            Step::Approach { axis, to_mm } => {
+            Step::Approach { axis, to_mm } | Step::Guarded { axis, to_mm } => {
                 let mut to = [None; 3];
                 to[*axis] = Some(*to_mm);
                 self.moved_s += 60.0 * self.go(&to) / self.approach_mm_per_min;
@@ -197,6 +253,9 @@ impl Walk {
                 self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(*feed_mm_per_min);
                 self.moved_s += 60.0 * way_mm / feed_mm_per_min;
             }
+            Step::Arc(arc) => self.turn_around(arc),
+            Step::Touch(touch) => self.touch(touch),
+            Step::Found(found) => self.readings.push(Reading::of(found)),
             Step::Spindle(rpm) => {
                 self.now.spindle_rpm = *rpm;
                 self.highest_rpm = self.highest_rpm.max(*rpm);
@@ -237,6 +296,52 @@ impl Walk {
             self.extent_mm[axis] = Some([low.min(to), high.max(to)]);
         }
         square.sqrt()
+    }
+
+    /// Goes there and back. A plan has sent the axis before.
+    fn touch(&mut self, touch: &Touch) {
+        let Some(start_mm) = self.now.position_mm[touch.axis] else { return };
+        let feed = touch.feed_mm_per_min;
+        for mm in [touch.to_mm, start_mm] {
+            let mut to = [None; 3];
+            to[touch.axis] = Some(mm);
+            self.go(&to);
+        }
+        // The surface is half way.
+        let way_mm = (touch.to_mm - start_mm).abs() / 2.0;
+        self.moved_s += 60.0 * way_mm * (1.0 / feed + 1.0 / self.approach_mm_per_min);
+        self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(feed);
+    }
+
+    /// Goes around, and reads on the way. A plan has sent both axes before.
+    fn turn_around(&mut self, arc: &Arc) {
+        let [Some(u), Some(v)] = arc.axes.map(|axis| self.now.position_mm[axis]) else { return };
+        let start_mm = [u, v];
+        let feed = arc.feed_mm_per_min;
+        let put = |now: &mut Reading, mm: [f64; 2], way: [i8; 2]| {
+            for (n, axis) in arc.axes.into_iter().enumerate() {
+                now.position_mm[axis] = Some(mm[n]);
+                now.direction[axis] = way[n];
+            }
+        };
+        self.now.feed_mm_per_min = Some(feed);
+        self.highest_feed_mm_per_min = self.highest_feed_mm_per_min.max(feed);
+        self.moved_s += 60.0 * arc.length_mm(start_mm) / feed;
+        let [from, until] = arc.read_deg;
+        for deg in from..=until {
+            let deg = f64::from(deg);
+            let mut reading = Reading { sense: arc.sense() as i8, ..self.now };
+            // Nanometres: more digits of a position are none.
+            let at_mm = arc.at_mm(start_mm, deg).map(|mm| (mm * 1e6).round() / 1e6);
+            put(&mut reading, at_mm, arc.direction(start_mm, deg));
+            self.readings.push(reading);
+        }
+        let last = arc.turn_deg.abs();
+        put(&mut self.now, arc.end_mm(start_mm), arc.direction(start_mm, last));
+        for (axis, [low, high]) in arc.axes.into_iter().zip(arc.extent_mm(start_mm)) {
+            let [least, most] = self.extent_mm[axis].unwrap_or([low, high]);
+            self.extent_mm[axis] = Some([least.min(low), most.max(high)]);
+        }
     }
 
     fn turn(&mut self, axis: usize, mm: f64) {

@@ -4,6 +4,7 @@
 use crate::plan::{Column, Plan, Reading};
 
 const AXES: [&str; 3] = ["x", "y", "z"];
+const ROTARY: [&str; 3] = ["a", "b", "c"];
 
 /// Returns the run files of `plan`, by name: empty where something is to be measured.
 #[must_use]
@@ -49,33 +50,48 @@ fn empty(column: &Column) -> Option<&str> {
     }
 }
 
-fn name(column: &Column) -> String {
+/// Returns the name of a column.
+pub(crate) fn name(column: &Column) -> String {
     match column {
         Column::Run => "run".into(),
         Column::Time => "time_s".into(),
         Column::Position(axis) | Column::Stands(axis, _) => format!("{}_mm", AXES[*axis]),
         Column::Direction(axis) => format!("dir_{}", AXES[*axis]),
+        Column::Angle(axis) => format!("{}_deg", ROTARY[*axis]),
+        Column::ToolLength => "tool_length_mm".into(),
+        Column::Point => "point".into(),
+        Column::Sense => "dir".into(),
+        Column::Constant(name, _) => (*name).into(),
         Column::Feed => "feed_mm_per_min".into(),
         Column::Speed | Column::SpeedBetween(_) => "spindle_rpm".into(),
         Column::Empty(name) => name.clone(),
     }
 }
 
-fn cell(column: &Column, reading: &Reading) -> String {
+/// Returns the cell of a column in the row of a reading; empty where it is to be filled in.
+pub(crate) fn cell(column: &Column, reading: &Reading) -> String {
     match column {
         Column::Run => reading.run.to_string(),
         Column::Time => reading.dwelt_s.to_string(),
-        Column::Position(axis) => {
-            reading.position_mm[*axis].map_or(String::new(), |mm| mm.to_string())
-        }
+        Column::Position(axis) => known(reading.position_mm[*axis]),
         Column::Stands(_, mm) => mm.to_string(),
+        Column::Angle(axis) => known(reading.angle_deg[*axis]),
+        Column::ToolLength => known(reading.tool_length_mm),
+        Column::Point => known(reading.point),
+        Column::Sense => reading.sense.to_string(),
+        Column::Constant(_, value) => value.to_string(),
         Column::Direction(axis) => match reading.direction[*axis] {
             0 => String::new(),
             way => way.to_string(),
         },
-        Column::Feed => reading.feed_mm_per_min.map_or(String::new(), |feed| feed.to_string()),
+        Column::Feed => known(reading.feed_mm_per_min),
         Column::Speed => reading.spindle_rpm.to_string(),
         Column::SpeedBetween(rpm) => rpm.to_string(),
         Column::Empty(_) => String::new(),
     }
+}
+
+/// Returns a value as a cell; empty where there is none.
+fn known(value: Option<impl ToString>) -> String {
+    value.map_or(String::new(), |value| value.to_string())
 }

@@ -15,6 +15,7 @@ use trueup_machine::{
     file::{Kind, LinearAxis},
 };
 
+pub(crate) use crate::arc::micrometres;
 use crate::{options::Options, plan::Step, refused::Refused};
 
 /// An axis and where it may move, in mm, whole micrometres.
@@ -112,11 +113,6 @@ pub(crate) fn even(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
     let count = steps as usize;
     let at = |n: usize| micrometres(low + (high - low) * n as f64 / count as f64);
     Some((0..=count).map(at).collect())
-}
-
-/// As a control takes it: whole micrometres.
-pub(crate) fn micrometres(mm: f64) -> f64 {
-    (mm * 1000.0).round() / 1000.0
 }
 
 /// Returns which way of `axis` retracts the tool (+1, −1), if it is a vertical or tool axis. Z counts as vertical

@@ -37,7 +37,7 @@ fn no_program_moves_y_and_x_is_written_as_a_diameter() {
         for plan in of(kind) {
             assert!(plan.extent_mm()[1].is_none(), "{kind:?}");
             for (which, mode) in [(Control::LinuxCnc, "G7"), (Control::Siemens, "DIAMON")] {
-                let (name, text) = control::program(&plan, which);
+                let (name, text) = control::program(&plan, which).expect("it is written");
                 assert!(text.contains(mode), "{name}: {text}");
                 let blocks = blocks(&text);
                 assert!(blocks.iter().all(|block| !block.contains('Y')), "{name}: {text}");
@@ -83,7 +83,8 @@ fn the_gauge_is_between_turret_and_chuck() {
     let notes = of(Kind::Warmup)[0].notes.join(" ");
     assert!(notes.contains("between turret and chuck") && !notes.contains("test bar"), "{notes}");
     assert!(notes.contains("out of the chuck is positive"), "{notes}");
-    let text = control::program(&of(Kind::Backlash)[0], Control::LinuxCnc).1;
+    let text =
+        control::program(&of(Kind::Backlash)[0], Control::LinuxCnc).expect("it is written").1;
     assert!(text.contains("Set a dial between turret and chuck"), "{text}");
 }
 

@@ -6,7 +6,7 @@ use support::{machine, parse, with_z};
 use trueup_machine::file::LinearAxis;
 use trueup_program::{Control, Gauge, Kind, Options, Plan, control, plan::Step, plans, template};
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind::Backlash,
     Kind::Pitch,
     Kind::Straightness,
@@ -14,6 +14,7 @@ const KINDS: [Kind; 7] = [
     Kind::AxisHeat,
     Kind::Diagonal,
     Kind::StepDiagonal,
+    Kind::Circle,
 ];
 
 fn of(kind: Kind, options: &Options) -> Vec<Plan> {
@@ -31,7 +32,9 @@ fn x_with_room() -> Options {
 
 #[test]
 fn fanuc_backlash_is_the_papers_own_program() {
-    let text = control::program(&of(Kind::Backlash, &x_with_room())[0], Control::Fanuc).1;
+    let text = control::program(&of(Kind::Backlash, &x_with_room())[0], Control::Fanuc)
+        .expect("it is written")
+        .1;
     // Paper 4, N10 to N90, for X: 50 mm of over-travel, 5 s to read, Z out of the way and back, at the feed of an
     // approach.
     let paper = "\
@@ -103,7 +106,7 @@ CALL LBL 1 REP 6
         (Control::Siemens, siemens),
         (Control::Heidenhain, heidenhain),
     ] {
-        let mut text = control::program(plan, control).1;
+        let mut text = control::program(plan, control).expect("it is written").1;
         if control == Control::Heidenhain {
             let blocks = text.lines().filter_map(|line| line.split_once(' '));
             text = blocks.map(|(_, block)| block.to_string() + "\n").collect();
@@ -134,7 +137,9 @@ fn backlash_has_seven_pairs_at_three_places() {
 fn a_dial_asks_for_a_hand_and_a_laser_does_not() {
     let stops = |gauge| {
         let options = Options { gauge: Some(gauge), ..only_x() };
-        control::program(&of(Kind::Backlash, &options)[0], Control::LinuxCnc).1
+        control::program(&of(Kind::Backlash, &options)[0], Control::LinuxCnc)
+            .expect("it is written")
+            .1
     };
     // The first, one to set it at each place, and one to take it away before each way to the next.
     assert_eq!(stops(Gauge::Dial).matches("\nM0\n").count(), 1 + 3 + 2);
@@ -223,7 +228,7 @@ fn a_warm_up_is_read_once_a_minute_for_two_hours_off_and_on() {
     let readings = plan.readings();
     assert_eq!(readings.len(), 120);
     assert_eq!((readings[0].dwelt_s, readings[119].dwelt_s), (60.0, 7200.0));
-    let text = control::program(plan, Control::Fanuc).1;
+    let text = control::program(plan, Control::Fanuc).expect("it is written").1;
     for block in ["M00\n", "M03 S24000\n", "M98 P7101 L120\n", "M05\n"] {
         assert!(text.contains(block), "{block}: {text}");
     }
@@ -237,7 +242,7 @@ fn a_dial_touches_the_bar_only_while_the_spindle_stands() {
     assert!(plan.readings().iter().all(|reading| reading.spindle_rpm == 0.0));
     // Two hours, every ten minutes.
     assert_eq!(plan.readings().len(), 12);
-    let text = control::program(plan, Control::LinuxCnc).1;
+    let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
     assert!(text.contains("M5\n  G4 P20 (read)\n  (MSG, Wait until the spindle stands."), "{text}");
     let text = &template::templates(plan)[0].1;
     // The speed of the time between the readings.
@@ -302,6 +307,67 @@ fn a_horizontal_spindle_has_two_step_diagonals_and_the_notes_say_so() {
     assert_ne!(x_mm(&made[0]), x_mm(&made[1]));
     assert!(made[1].then[0].ends_with("step-diagonal-2-xyz.csv"), "{:?}", made[1].then);
     assert!(notes.iter().any(|it| it.contains("2 of the four body diagonals")), "{notes:?}");
+}
+
+#[test]
+fn a_circle_is_two_turns_each_way_by_ways_from_its_start_and_read_behind_the_run_in() {
+    let options = Options { axes: vec![LinearAxis::X, LinearAxis::Y], ..with_z() };
+    let made = of(Kind::Circle, &options);
+    let [plan] = &made[..] else { panic!("{}", made.len()) };
+    for (control, turns) in [
+        (
+            Control::LinuxCnc,
+            "(MSG, If the circle is aborted, type G90 first: until its end places are increments.)\nG17 G91 G91.1 G64\nG3 X0 Y0 I-150 J0 F1000\nG3 X0 Y0 I-150 J0 F1000\nG17 G90 G61\nG4 P5\n",
+        ),
+        (
+            Control::Siemens,
+            "G17 G64\nG3 X=IC(0) Y=IC(0) I-150 J0 F1000\nG3 X=IC(0) Y=IC(0) I-150 J0 F1000\nG17 G60\nG4 F5\n",
+        ),
+    ] {
+        let text = control::program(plan, control).expect("it is written").1;
+        assert!(text.contains(turns), "{control:?}: {text}");
+        assert_eq!(text.matches("I-150").count(), 4, "{text}");
+    }
+    let readings = plan.readings();
+    assert_eq!(readings.len(), 2 * 451);
+    assert!(readings[..451].iter().all(|reading| reading.sense == 1));
+    assert!(readings[451..].iter().all(|reading| reading.sense == -1));
+    // 135° behind the start, to the left and up; the other way round down.
+    let at = |n: usize| [0, 1].map(|axis| readings[n].position_mm[axis].map(f64::round));
+    assert_eq!([at(0), at(451)], [[Some(394.0), Some(106.0)], [Some(394.0), Some(-106.0)]]);
+    let text = &template::templates(plan)[0].1;
+    assert!(
+        text.contains("\nsetup,x_mm,y_mm,dir,feed_mm_per_min,measured_dr_um\n1,393."),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_plate_is_touched_ball_by_ball_with_each_stylus_at_its_height() {
+    let options = Options {
+        at_mm: [Some(100.0), Some(-100.0), Some(-300.0)],
+        ball_mm: Some(20.0),
+        stylus_mm: Some(6.0),
+        step_mm: Some(90.0),
+        balls: Some([2, 2]),
+        repeats: Some(1),
+        tool_lengths_mm: vec![100.0, 150.0],
+        ..with_z()
+    };
+    let made = of(Kind::Plate, &options);
+    let readings = made[0].readings();
+    let points: Vec<Option<u32>> = readings.iter().map(|reading| reading.point).collect();
+    // There and back; a ball keeps its number.
+    assert_eq!(points, [1, 2, 4, 3, 1, 2, 4, 3].map(Some));
+    let place = |n: usize| readings[n].position_mm.map(Option::unwrap);
+    assert_eq!([place(2), place(6)], [[190.0, -10.0, -300.0], [190.0, -10.0, -250.0]]);
+    let text = &template::templates(&made[0])[0].1;
+    let header = "run,setup,point,x_mm,y_mm,z_mm,tool_length_mm,measured_dx_um,measured_dy_um,measured_dz_um\n";
+    assert!(text.contains(&format!("\n{header}1,1,1,100,-100,-300,100,,,\n")), "{text}");
+    // 24 readings can be fitted alone, and fewer cannot.
+    assert_eq!(made[0].then.len(), 1);
+    let one = Options { balls: Some([2, 1]), ..options };
+    assert!(of(Kind::Plate, &one)[0].then.is_empty());
 }
 
 #[test]

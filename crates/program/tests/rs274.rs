@@ -3,12 +3,17 @@
 
 mod support;
 
-use std::{fs, path::Path, process::Command};
+use std::{
+    fs,
+    path::Path,
+    process::Command,
+    sync::{Mutex, PoisonError},
+};
 
 use support::{machine, with_z};
 use trueup_machine::MachineFile;
 use trueup_program::{
-    Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plans, speeds,
+    Control, Gauge, Kind, Options, Plan, Stretch, control, plan::Reading, plan::Step, plans, speeds,
 };
 
 /// Where the interpreter says that the machine stands, by axis.
@@ -20,11 +25,14 @@ struct Stand {
     is_to_be_read: bool,
 }
 
-/// Returns what `rs274` makes of a program: where it stands at each dwell with a reading.
-fn stands(program: &str) -> Option<Vec<Stand>> {
+/// Returns what `rs274` would let the machine do; `None` where it is not here.
+fn calls(program: &str) -> Option<Vec<String>> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("program.ngc");
     fs::write(&path, program).expect("it is written");
+    // Two of them at a time disturb each other.
+    static ALONE: Mutex<()> = Mutex::new(());
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let done = Command::new("rs274").arg("-g").arg(&path).current_dir(&folder).output();
     let done = match done {
         Ok(done) => done,
@@ -32,14 +40,21 @@ fn stands(program: &str) -> Option<Vec<Stand>> {
     };
     let said = String::from_utf8_lossy(&done.stdout);
     assert!(done.status.success(), "{program}\n{said}{}", String::from_utf8_lossy(&done.stderr));
+    let calls = said.lines().filter_map(|line| Some(line.split_once("..... ")?.1.to_string()));
+    Some(calls.collect())
+}
+
+/// Returns the numbers of a call.
+fn numbers(call: &str) -> Vec<f64> {
+    let inside = call.split_once('(').and_then(|it| it.1.split_once(')')).unwrap_or_default();
+    inside.0.split(", ").map(|number| number.parse::<f64>().expect("a number")).collect()
+}
+
+/// Returns where it stands at each dwell with a reading.
+fn stands(program: &str) -> Option<Vec<Stand>> {
     let (mut now, mut found) = (Stand::default(), Vec::new());
-    for line in said.lines() {
-        let Some((_, call)) = line.split_once("..... ") else { continue };
-        let numbers = || {
-            let inside =
-                call.split_once('(').and_then(|it| it.1.split_once(')')).unwrap_or_default();
-            inside.0.split(", ").map(|number| number.parse::<f64>().expect("a number"))
-        };
+    for call in calls(program)? {
+        let numbers = || numbers(&call).into_iter();
         if call.starts_with("STRAIGHT_") {
             for (axis, to) in numbers().take(3).enumerate() {
                 if to != now.mm[axis] {
@@ -60,7 +75,8 @@ fn stands(program: &str) -> Option<Vec<Stand>> {
 }
 
 fn check(plan: &Plan) -> bool {
-    let Some(stands) = stands(&control::program(plan, Control::LinuxCnc).1) else { return false };
+    let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+    let Some(stands) = stands(&text) else { return false };
     let readings = plan.readings();
     assert_eq!(stands.len(), readings.len(), "{}", plan.name);
     for (n, (stand, reading)) in stands.iter().zip(&readings).enumerate() {
@@ -111,6 +127,78 @@ fn linuxcncs_interpreter_stands_where_the_run_file_says() {
                     println!("skipped: LinuxCNC's interpreter (rs274) is not here");
                     return;
                 }
+            }
+        }
+    }
+}
+
+#[test]
+fn linuxcncs_interpreter_goes_around_the_centre_that_the_plan_has() {
+    let plans = plans(Kind::Circle, &machine(), &with_z()).expect("it fits").0;
+    assert_eq!(plans.len(), 3);
+    for plan in &plans {
+        let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+        let Some(made) = calls(&text) else {
+            println!("skipped: LinuxCNC's interpreter (rs274) is not here");
+            return;
+        };
+        let arcs: Vec<Vec<f64>> = made
+            .iter()
+            .filter(|call| call.starts_with("ARC_FEED"))
+            .map(|call| numbers(call))
+            .collect();
+        let planned = plan.steps.iter().filter_map(|step| match step {
+            Step::Arc(arc) => Some(arc.blocks_deg().into_iter().map(|deg| (*arc, deg))),
+            _ => None,
+        });
+        let planned: Vec<_> = planned.flatten().collect();
+        assert_eq!(arcs.len(), planned.len(), "{}: {arcs:?}", plan.name);
+        for (arc, (planned, deg)) in arcs.iter().zip(planned) {
+            // Both ends, both centres, and the turns with their sign.
+            let off = [0, 1].map(|n| (arc[2 + n] - planned.centre_mm[n]).abs());
+            assert!(off.iter().all(|mm| *mm < 1e-4), "{}: {arc:?}", plan.name);
+            assert_eq!(arc[4], deg.signum(), "{}: {arc:?}", plan.name);
+        }
+        // In coordinates that are turned it does nothing at all.
+        let turned = calls(&format!("G10 L2 P1 R30\n{text}")).expect("it is here");
+        let moves = |call: &&String| call.starts_with("ARC_") || call.starts_with("STRAIGHT_");
+        assert_eq!(turned.iter().filter(moves).count(), 0, "{turned:?}");
+    }
+}
+
+#[test]
+fn linuxcncs_interpreter_touches_where_the_plan_says_whatever_the_work_coordinates_are() {
+    let options = Options {
+        at_mm: [Some(300.0), Some(-150.0), Some(-300.0)],
+        ball_mm: Some(20.0),
+        stylus_mm: Some(6.0),
+        size_mm: Some(200.0),
+        step_mm: Some(90.0),
+        ..with_z()
+    };
+    for kind in [Kind::Square, Kind::Sphere, Kind::Plate] {
+        let plan = &plans(kind, &machine(), &options).expect("it fits").0[0];
+        let text = control::program(plan, Control::LinuxCnc).expect("it is written").1;
+        for (before, shift) in [("", [0.0; 3]), ("G10 L2 P1 X7 Y-3 Z20\nG92 X5", [2.0, -3.0, 20.0])]
+        {
+            // G92 X5 at X -7 of the work coordinates: 12 mm more.
+            let shift = if before.is_empty() { shift } else { [-5.0, shift[1], shift[2]] };
+            let Some(made) = calls(&format!("{before}\n{text}")) else {
+                println!("skipped: LinuxCNC's interpreter (rs274) is not here");
+                return;
+            };
+            let probes = made.iter().filter(|call| call.starts_with("STRAIGHT_PROBE"));
+            let ends: Vec<Vec<f64>> = probes.map(|call| numbers(call)).collect();
+            let planned = plan.steps.iter().flat_map(|step| match step {
+                Step::Guarded { axis, to_mm } => vec![(*axis, *to_mm)],
+                Step::Touch(touch) => vec![(touch.axis, touch.to_mm), (touch.axis, f64::NAN)],
+                _ => Vec::new(),
+            });
+            let planned: Vec<(usize, f64)> = planned.collect();
+            assert_eq!(ends.len(), planned.len(), "{}", plan.name);
+            for (end, (axis, mm)) in ends.iter().zip(planned) {
+                let is_there = mm.is_nan() || (end[axis] + shift[axis] - mm).abs() < 1e-3;
+                assert!(is_there, "{} {before:?}: {end:?}, and it is {axis} {mm}", plan.name);
             }
         }
     }

@@ -254,7 +254,7 @@ impl Link<'_> {
             }
         }
         while self.is_born && self.open.len() + connection.waiting() < MAX_OPEN {
-            let Some(record) = self.shared.spool().next_to_send() else { break };
+            let Some(record) = self.shared.spool().next_to_send(now) else { break };
             let number = record.number;
             if !connection.publish_record(record) {
                 self.shared.spool().put_back(number);

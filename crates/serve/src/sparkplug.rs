@@ -12,6 +12,7 @@ use srad_types::payload::{
 };
 
 use crate::{
+    clock::utc_text,
     metrics::{Metric, Value, metrics},
     snapshot::{Event, Snapshot},
     spool::Draft,
@@ -112,6 +113,28 @@ pub fn decode(bytes: &[u8]) -> Option<Vec<payload::Metric>> {
     Payload::decode(bytes).ok().map(|it| it.metrics)
 }
 
+/// Returns a record or an event that was published as an object: its identifier, its time, its metrics by name; `None`: it
+/// is no payload.
+#[must_use]
+pub fn object(bytes: &[u8]) -> Option<serde_json::Value> {
+    use serde_json::{Value as Json, json};
+    let Payload { timestamp, metrics, uuid, .. } = Payload::decode(bytes).ok()?;
+    let value = |value: metric::Value| match value {
+        metric::Value::IntValue(value) => json!(value),
+        metric::Value::LongValue(value) => json!(value),
+        metric::Value::FloatValue(value) => json!(value),
+        metric::Value::DoubleValue(value) => json!(value),
+        metric::Value::BooleanValue(value) => json!(value),
+        metric::Value::StringValue(value) => json!(value),
+        // None of a bridge's.
+        _ => Json::Null,
+    };
+    let named =
+        metrics.into_iter().filter_map(|it| Some((it.name?, it.value.map_or(Json::Null, value))));
+    let named: serde_json::Map<String, Json> = named.collect();
+    Some(json!({ "id": uuid, "time": timestamp.map(utc_text), "metrics": named }))
+}
+
 /// Returns whether a command asks for all births again; `None`: it is no payload.
 #[must_use]
 pub fn asks_rebirth(bytes: &[u8]) -> Option<bool> {
@@ -144,4 +167,22 @@ pub fn row(node: &str, device: Option<&str>, of: &Snapshot, time_ms: u64) -> Dra
     };
     let topic = own_topic(node, device, "record");
     Draft { time_ms, topic, payload: Box::new(payload) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_is_read_as_it_was_made() {
+        let made = event("n", None, Event::new("quality", "live"), 1_000);
+        let read = object(&(made.payload)("00000000000000ff-7")).expect("a payload");
+        let expected = serde_json::json!({
+            "id": "00000000000000ff-7",
+            "time": "1970-01-01T00:00:01.000Z",
+            "metrics": {"Event/Code": "quality", "Event/About": "live"},
+        });
+        assert_eq!(read, expected);
+        assert_eq!(object(b"\xff"), None);
+    }
 }

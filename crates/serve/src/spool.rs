@@ -11,7 +11,9 @@
 //! is that of its file, drawn at random, and its number: no clock and no restart makes two records the same.
 //!
 //! A file is never written again after a restart. Bytes that are no whole record are copied into the folder
-//! `damaged`, reported with the numbers and times between which they lie, and passed over.
+//! `damaged`, reported with the numbers and times between which they lie, and passed over. A file that the system cannot
+//! read is tried again for a minute before its records count as lost; it is moved into `damaged` in the place of being
+//! removed.
 
 mod report;
 pub mod segment;
@@ -33,9 +35,13 @@ use self::segment::{CRC, Entry, Record, decode, encode, scan};
 
 /// A record is kept for this long after its acknowledgement.
 pub const RESEND: Duration = Duration::from_secs(60);
+/// A file that cannot be read is tried again for this long.
+const READ_AGAIN: Duration = Duration::from_secs(60);
 /// A file that has reached this length is followed by a new one.
 const FILE_BYTES: u64 = 1 << 20;
 const EXTENSION: &str = "spool";
+/// The folder of bytes and files that could not be sent.
+const DAMAGED: &str = "damaged";
 const SETTLED: &str = "settled";
 
 /// Makes the payload of the record with an identifier.
@@ -65,6 +71,8 @@ pub struct Spool {
     sent: u64,
     /// Records that the broker has acknowledged and that are not settled, with the time of the acknowledgement.
     acknowledged: BTreeMap<u64, Instant>,
+    /// Since when the next record cannot be read.
+    unreadable_since: Option<Instant>,
     reports: Vec<Report>,
     _lock: File,
 }
@@ -74,9 +82,24 @@ struct Segment {
     path: PathBuf,
     entries: Vec<Entry>,
     bytes: u64,
+    /// Records of it were given up: they could not be read.
+    has_lost: bool,
 }
 
 impl Segment {
+    /// Removes the file, or moves it into [`DAMAGED`] if it has records that were never sent.
+    fn remove(&self) {
+        if self.has_lost
+            && let Some((folder, name)) = self.path.parent().zip(self.path.file_name())
+        {
+            let copies = folder.join(DAMAGED);
+            fs::create_dir_all(&copies).ok();
+            fs::rename(&self.path, copies.join(name)).ok();
+        } else {
+            fs::remove_file(&self.path).ok();
+        }
+    }
+
     /// Returns the records with a higher number.
     fn after(&self, number: u64) -> &[Entry] {
         &self.entries[self.entries.partition_point(|it| it.number <= number)..]
@@ -109,6 +132,7 @@ impl Spool {
             settled,
             sent: settled,
             acknowledged: BTreeMap::new(),
+            unreadable_since: None,
             reports: Vec::new(),
             _lock: lock,
         };
@@ -130,7 +154,7 @@ impl Spool {
                 // Damage among settled records needs no report.
                 gap.after.is_none_or(|after| after.number > self.settled + 1)
             }) {
-                let copy = self.folder.join("damaged");
+                let copy = self.folder.join(DAMAGED);
                 fs::create_dir_all(&copy)?;
                 let name = path.file_stem().unwrap_or_default().to_string_lossy();
                 let copy = copy.join(format!("{name}-{}.bin", gap.at));
@@ -141,7 +165,8 @@ impl Spool {
             }
             let last = entries.last().map_or(first.saturating_sub(1), |entry| entry.number);
             self.next = self.next.max(last + 1);
-            self.segments.push_back(Segment { id, path, entries, bytes: bytes.len() as u64 });
+            let bytes = bytes.len() as u64;
+            self.segments.push_back(Segment { id, path, entries, bytes, has_lost: false });
         }
         Ok(())
     }
@@ -199,7 +224,8 @@ impl Spool {
         #[cfg(unix)]
         File::open(&self.folder)?.sync_all()?;
         self.active = Some(file);
-        self.segments.push_back(Segment { id, path, entries: Vec::new(), bytes: 0 });
+        let entries = Vec::new();
+        self.segments.push_back(Segment { id, path, entries, bytes: 0, has_lost: false });
         Ok(())
     }
 
@@ -219,24 +245,43 @@ impl Spool {
             let last = oldest.entries.last().map_or(0, |it| it.number);
             self.settled = self.settled.max(last);
             self.sent = self.sent.max(self.settled);
-            fs::remove_file(oldest.path).ok();
+            oldest.remove();
         }
         self.forget_acknowledged();
     }
 
-    /// Returns the next record that was not sent since the last [`Self::rewind`].
-    pub fn next_to_send(&mut self) -> Option<Record> {
+    /// Returns the next record that was not sent since the last [`Self::rewind`]; `None`: there is none, or its file cannot
+    /// be read now.
+    pub fn next_to_send(&mut self, now: Instant) -> Option<Record> {
         loop {
-            let first = |it: &'_ Segment| it.after(self.sent).first().copied();
-            let mut found = self.segments.iter().filter_map(|it| Some((it, first(it)?)));
+            let sent = self.sent;
+            let first = |it: &Segment| it.after(sent).first().copied();
+            let mut found = self.segments.iter_mut().filter_map(|it| first(it).map(|of| (it, of)));
             let (segment, entry) = found.next()?;
+            let why = match read(segment, entry) {
+                Ok(Some(record)) => {
+                    self.sent = entry.number;
+                    self.unreadable_since = None;
+                    return Some(record);
+                }
+                // Damaged since it was written.
+                Ok(None) => None,
+                Err(error) => {
+                    let is_first = self.unreadable_since.is_none();
+                    let since = *self.unreadable_since.get_or_insert(now);
+                    if is_first {
+                        self.reports.push(Report::unread(&segment.path, &error));
+                    }
+                    if now.saturating_duration_since(since) < READ_AGAIN {
+                        return None;
+                    }
+                    Some(error)
+                }
+            };
+            segment.has_lost = true;
+            self.reports.push(Report::unreadable(&segment.path, entry, why.as_ref()));
             self.sent = entry.number;
-            if let Some(record) = read(segment, entry) {
-                return Some(record);
-            }
-            // Damaged since it was written: found again, and set aside, when the spool is opened next.
-            self.reports.push(Report::unreadable(&segment.path, entry));
-            self.acknowledge(entry.number, Instant::now());
+            self.acknowledge(entry.number, now);
         }
     }
 
@@ -282,7 +327,7 @@ impl Spool {
             && let Some(oldest) = self.segments.front()
             && oldest.entries.last().is_none_or(|it| it.number <= self.settled)
         {
-            fs::remove_file(&oldest.path).ok();
+            oldest.remove();
             self.segments.pop_front();
         }
         // If it is lost, some records are sent once more.
@@ -306,13 +351,20 @@ impl Spool {
 }
 
 /// Returns a record of a file; `None`: it is damaged.
-fn read(segment: &Segment, entry: Entry) -> Option<Record> {
+///
+/// # Errors
+/// The file cannot be read.
+fn read(segment: &Segment, entry: Entry) -> io::Result<Option<Record>> {
     let mut bytes = vec![0; entry.length];
-    let mut file = File::open(&segment.path).ok()?;
-    file.seek(SeekFrom::Start(entry.at)).ok()?;
-    file.read_exact(&mut bytes).ok()?;
-    let (record, _) = decode(segment.id, &bytes)?;
-    (record.number == entry.number).then_some(record)
+    let mut file = File::open(&segment.path)?;
+    file.seek(SeekFrom::Start(entry.at))?;
+    match file.read_exact(&mut bytes) {
+        // It was cut.
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(None),
+        other => other?,
+    }
+    let record = decode(segment.id, &bytes).map(|(record, _)| record);
+    Ok(record.filter(|record| record.number == entry.number))
 }
 
 /// Returns the first number and the identifier that a file's name has.

@@ -9,6 +9,7 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use serde_json::json;
+use trueup_emulator::linuxcnc::headless::Headless;
 use trueup_linuxcnc::{
     hal::is_alive,
     status::{in_words, parse},
@@ -106,15 +107,7 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
     assert!(base.abs() > 5e-3, "homed with an offset: {base}");
     for signal in ["TERM", "KILL"] {
         let before = rig.cnc.pins(&names)?;
-        let pid = component(rig)?;
-        let done = Command::new("kill").args(["-s", signal, &pid.to_string()]).status()?;
-        ensure!(done.success(), "kill -s {signal} {pid}");
-        let end = Instant::now() + Duration::from_secs(10);
-        while is_alive(pid) {
-            ensure!(Instant::now() < end, "it does not end by {signal}");
-            thread::sleep(Duration::from_millis(10));
-        }
-        rig.cnc.wait("the feed is held", 5, &["motion.feed-inhibit"], |seen| seen[0] == 1.0)?;
+        end_component(&mut rig.cnc, signal)?;
         if signal == "KILL" {
             let (said, is_live) = in_words(&shown(rig)?);
             ensure!(!is_live && said.contains("killed"), "{said}");
@@ -123,13 +116,7 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
             |seen: &[f64]| seen.iter().zip(&before).all(|(one, two)| (one - two).abs() < 1e-6);
         let gone = rig.cnc.pins(&names)?;
         assert!(near(&gone), "{signal}, gone: {before:?} {gone:?}");
-        let ini = rig.cnc.folder().join("stock.ini");
-        let hal = rig.cnc.folder().join("trueup.hal");
-        rig.cnc.halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
-            // The wires of one that was killed are still there.
-            if signal == "KILL" { Ok(String::new()) } else { Err(error) }
-        })?;
-        rig.cnc.wait("it beats", 10, &["motion.feed-inhibit"], |seen| seen[0] == 0.0)?;
+        load_component(&mut rig.cnc, signal)?;
         rig.applied([10.0, -20.0, 40.0])?;
         let again = rig.cnc.pins(&names)?;
         println!("{signal}, loaded again: {before:?} {again:?}");
@@ -142,14 +129,32 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
     Ok(())
 }
 
+/// Ends the component by this signal, and waits until LinuxCNC holds the feed.
+pub(crate) fn end_component(cnc: &mut Headless, signal: &str) -> Result<()> {
+    let pid = cnc.pin("trueup.0.pid")? as u32;
+    let done = Command::new("kill").args(["-s", signal, &pid.to_string()]).status()?;
+    ensure!(done.success(), "kill -s {signal} {pid}");
+    let end = Instant::now() + Duration::from_secs(10);
+    while is_alive(pid) {
+        ensure!(Instant::now() < end, "it does not end by {signal}");
+        thread::sleep(Duration::from_millis(10));
+    }
+    cnc.wait("the feed is held", 5, &["motion.feed-inhibit"], |seen| seen[0] == 1.0)
+}
+
+/// Loads the component that was ended by this signal again, and waits until it lives.
+pub(crate) fn load_component(cnc: &mut Headless, signal: &str) -> Result<()> {
+    let [ini, hal] = ["stock.ini", "trueup.hal"].map(|name| cnc.folder().join(name));
+    cnc.halcmd(&format!("-i {} -f {}", ini.display(), hal.display())).or_else(|error| {
+        // The wires of one that was killed are still there.
+        if signal == "KILL" { Ok(String::new()) } else { Err(error) }
+    })?;
+    cnc.wait("it beats", 10, &["motion.feed-inhibit"], |seen| seen[0] == 0.0)
+}
+
 /// Returns the pins as `trueup linuxcnc status` reads them.
 fn shown(rig: &mut Rig) -> Result<BTreeMap<String, String>> {
     Ok(parse(&rig.cnc.halcmd("-s show pin trueup.0.")?))
-}
-
-/// Returns the process of the component.
-fn component(rig: &mut Rig) -> Result<u32> {
-    Ok(rig.cnc.pin("trueup.0.pid")? as u32)
 }
 
 /// At the soft limit the drive does not stay beyond.

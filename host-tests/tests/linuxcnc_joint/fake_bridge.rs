@@ -1,11 +1,11 @@
 //! A bridge that says what a test wants, every millisecond, over TCP.
 
 use std::{
-    io::{ErrorKind, Read as _, Write as _},
+    io::{self, ErrorKind, Read as _, Write as _},
     net::{TcpListener, TcpStream},
     sync::{
         Arc,
-        atomic::{AtomicBool, AtomicI32, Ordering},
+        atomic::{AtomicBool, AtomicI32, AtomicU32, Ordering},
     },
     thread::{self, JoinHandle},
     time::Duration,
@@ -19,13 +19,20 @@ use trueup_core::{
 use trueup_link::{
     frames::{offset_xy, offset_z},
     slcan::encode_line,
+    status::{self, Item, Reason, Status},
 };
+
+/// Turns between two reports of its calibration.
+const STATUS_TURNS: u32 = 100;
 
 /// Its offsets, and whether it lives.
 #[derive(Debug, Default)]
 struct Shared {
     offset_nm: [AtomicI32; 3],
+    /// CRC of its calibration; 0: it says nothing of it.
+    calibration: AtomicU32,
     is_silent: AtomicBool,
+    is_dead: AtomicBool,
     stop: AtomicBool,
 }
 
@@ -39,12 +46,11 @@ pub struct FakeBridge {
 impl FakeBridge {
     /// Starts it without an offset.
     pub fn start() -> Result<Self> {
-        let listener = TcpListener::bind("127.0.0.1:0")?;
-        listener.set_nonblocking(true)?;
+        let listener = listen(0)?;
         let port = listener.local_addr()?.port();
         let shared = Arc::new(Shared::default());
         let of_thread = shared.clone();
-        let thread = Some(thread::spawn(move || serve(&listener, &of_thread)));
+        let thread = Some(thread::spawn(move || serve(listener, port, &of_thread)));
         Ok(Self { shared, port, thread })
     }
 
@@ -60,9 +66,19 @@ impl FakeBridge {
         }
     }
 
+    /// Says from now on that it runs on the calibration with this CRC.
+    pub fn run_on(&self, crc: u32) {
+        self.shared.calibration.store(crc, Ordering::Relaxed);
+    }
+
     /// Says nothing, or something again.
     pub fn silence(&self, is_silent: bool) {
         self.shared.is_silent.store(is_silent, Ordering::Relaxed);
+    }
+
+    /// Kills it, so that its port refuses, or starts it again.
+    pub fn kill(&self, is_dead: bool) {
+        self.shared.is_dead.store(is_dead, Ordering::Relaxed);
     }
 }
 
@@ -76,9 +92,22 @@ impl Drop for FakeBridge {
     }
 }
 
-fn serve(listener: &TcpListener, shared: &Shared) {
+fn listen(port: u16) -> io::Result<TcpListener> {
+    let listener = TcpListener::bind(("127.0.0.1", port))?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}
+
+fn serve(first: TcpListener, port: u16, shared: &Shared) {
+    let mut listener = Some(first);
     while !shared.stop.load(Ordering::Relaxed) {
-        if let Ok((stream, _)) = listener.accept() {
+        if shared.is_dead.load(Ordering::Relaxed) {
+            listener = None;
+        } else if listener.is_none() {
+            // The kernel may hold the port for a moment.
+            listener = listen(port).ok();
+        }
+        if let Some(Ok((stream, _))) = listener.as_ref().map(TcpListener::accept) {
             // The component opens the line again.
             speak(stream, shared).ok();
         }
@@ -86,12 +115,12 @@ fn serve(listener: &TcpListener, shared: &Shared) {
     }
 }
 
-fn speak(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
+fn speak(mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_nonblocking(true)?;
-    let mut counter = 0_u8;
+    let (mut counter, mut turns, mut statuses) = (0_u8, 0_u32, 0_u8);
     let mut heard = [0; 4_096];
-    while !shared.stop.load(Ordering::Relaxed) {
+    while !shared.stop.load(Ordering::Relaxed) && !shared.is_dead.load(Ordering::Relaxed) {
         match stream.read(&mut heard) {
             Ok(0) => return Ok(()),
             Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error),
@@ -106,6 +135,14 @@ fn speak(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
                 stream.write_all(encode_line(&frame).as_bytes())?;
             }
             counter = counter.wrapping_add(1);
+            let calibration = shared.calibration.load(Ordering::Relaxed);
+            if calibration != 0 && turns.is_multiple_of(STATUS_TURNS) {
+                let item = Item::Calibration(calibration);
+                let said = status::encode(&Status { last_refused: Reason::None, item }, statuses);
+                stream.write_all(encode_line(&said).as_bytes())?;
+                statuses = statuses.wrapping_add(1);
+            }
+            turns = turns.wrapping_add(1);
         }
         thread::sleep(Duration::from_millis(1));
     }

@@ -4,17 +4,18 @@
 //! The bridge is a program of the test, so that offsets jump when the test wants it.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+mod abuse;
 mod events;
 mod fake_bridge;
 mod no_board;
+mod record;
 mod stock_files;
 
 use std::{
     fs,
-    io::{BufRead as _, BufReader},
     path::Path,
     process::{Command, Stdio},
-    sync::mpsc::{self, Receiver},
+    sync::mpsc::Receiver,
     thread,
     time::Duration,
 };
@@ -28,6 +29,7 @@ use trueup_emulator::{
 
 use self::{
     fake_bridge::FakeBridge,
+    record::{Cycle, Seen, record},
     stock_files::{INI, OWN, ini},
 };
 
@@ -44,22 +46,6 @@ const NOISE_OF_ACCELERATION: f64 = 2.0;
 /// Where the probe closes and the home switch of X is, by the drives, in mm.
 const SURFACE: f64 = -5.0;
 const SWITCH: f64 = -2.0;
-
-/// One servo cycle, in mm.
-#[derive(Clone, Copy, Debug, Default)]
-struct Cycle {
-    /// Command of the planner.
-    planner: [f64; 3],
-    /// Command to the drives.
-    drive: [f64; 3],
-    /// The offsets that act.
-    offset: [f64; 3],
-    /// Position of the drives as the planner sees it.
-    feedback: [f64; 3],
-    /// Offset of X from the bridge, as the component passes it on.
-    goal: f64,
-    is_on: bool,
-}
 
 /// LinuxCNC with the offsets at its joints.
 struct Rig {
@@ -98,8 +84,27 @@ fn texts(folder: &Path) -> Result<Vec<(String, String)>> {
     Ok(all)
 }
 
-/// Starts LinuxCNC with this configuration, which is checked, set up, taken out to the byte, and set up again.
-fn stock(control: LinuxCnc, ini: &str, by: &str, bridge: &FakeBridge) -> Result<Headless> {
+/// Returns the signals of offsets at the joint, as [`record`] wants them.
+fn joint_signals() -> Vec<String> {
+    let joints = |end: &'static str| (0..3).map(move |joint| format!("trueup-j{joint}-{end}"));
+    let drives = ["Xpos", "Ypos", "Zpos"].map(String::from);
+    let mut signals: Vec<String> = joints("cmd").chain(drives).collect();
+    signals.extend(joints("now").chain(joints("fb")));
+    signals.extend(["trueup-j0-offset", "trueup-on"].map(String::from));
+    signals.extend(joints("reference-in"));
+    signals.push("event screen.scenario".into());
+    signals
+}
+
+/// Starts LinuxCNC with this configuration, which is checked, set up, taken out to the byte, and set up again. The
+/// machine file has this slew limit, in mm/s.
+fn stock(
+    control: LinuxCnc,
+    ini: &str,
+    by: &str,
+    slew: f64,
+    bridge: &FakeBridge,
+) -> Result<Headless> {
     let folder = Headless::new_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;
@@ -107,8 +112,8 @@ fn stock(control: LinuxCnc, ini: &str, by: &str, bridge: &FakeBridge) -> Result<
     fs::write(path("own.hal"), OWN)?;
     fs::write(path("sim.tbl"), "")?;
     let gantry = setup::root().join("integrations/linuxcnc/trueup_gantry.toml");
-    let machine =
-        fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", "slew_um_per_s = 1200.0");
+    let slew = format!("slew_um_per_s = {:.1}", slew * 1e3);
+    let machine = fs::read_to_string(gantry)?.replace("slew_um_per_s = 500.0", &slew);
     fs::write(path("machine.toml"), machine)?;
     fs::copy(programs::trueup()?, path("trueup"))?;
     for name in ["trueup_probe.ngc", "trueup_touch_off.ngc"] {
@@ -139,42 +144,8 @@ impl Rig {
             return Ok(None);
         };
         let bridge = FakeBridge::start()?;
-        let mut cnc = stock(control, &ini(), "joint", &bridge)?;
-        let pins = ["trueup-j0-cmd", "trueup-j1-cmd", "trueup-j2-cmd", "Xpos", "Ypos", "Zpos"];
-        let more = [
-            "trueup-j0-now",
-            "trueup-j1-now",
-            "trueup-j2-now",
-            "trueup-j0-fb",
-            "trueup-j1-fb",
-            "trueup-j2-fb",
-        ];
-        for (index, signal) in
-            pins.iter().chain(&more).chain(&["trueup-j0-offset", "trueup-on"]).enumerate()
-        {
-            cnc.halcmd(&format!("net {signal} => sampler.0.pin.{index}"))?;
-        }
-        let (sampler, lines) = cnc.sample()?;
-        let (sender, cycles) = mpsc::channel();
-        thread::spawn(move || {
-            for line in BufReader::new(lines).lines().map_while(Result::ok) {
-                let words: Vec<f64> =
-                    line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-                let three = |from: usize| [words[from], words[from + 1], words[from + 2]];
-                // A gap is no cycle after the one before it.
-                let cycle = (words.len() == 15).then(|| Cycle {
-                    planner: three(1),
-                    drive: three(4),
-                    offset: three(7),
-                    feedback: three(10),
-                    goal: words[13],
-                    is_on: words[14] != 0.0,
-                });
-                if sender.send(cycle).is_err() {
-                    return;
-                }
-            }
-        });
+        let mut cnc = stock(control, &ini(), "joint", SLEW, &bridge)?;
+        let (sampler, cycles) = record(&mut cnc, &joint_signals())?;
         cnc.switch_on()?;
         Ok(Some(Self { cnc, bridge, cycles, _sampler: sampler }))
     }
@@ -227,60 +198,6 @@ impl Rig {
     }
 }
 
-/// The largest of each over a stretch of cycles, in mm and seconds.
-#[derive(Clone, Copy, Debug, Default)]
-struct Seen {
-    cycles: usize,
-    sum: f64,
-    feedback: f64,
-    offset_speed: f64,
-    offset_acceleration: f64,
-    drive_speed: f64,
-    drive_acceleration: f64,
-    planner_acceleration: f64,
-    offset: f64,
-}
-
-impl Seen {
-    fn of(cycles: &[Option<Cycle>]) -> Self {
-        let mut seen = Self { cycles: cycles.len(), ..Self::default() };
-        let largest = |place: &mut f64, value: f64| *place = place.max(value.abs());
-        for three in cycles.windows(3) {
-            let [Some(first), Some(second), Some(third)] = three else { continue };
-            let is_on = first.is_on && second.is_on && third.is_on;
-            for axis in 0..3 {
-                let second_difference = |of: fn(&Cycle) -> &[f64; 3]| {
-                    (of(third)[axis] - 2.0 * of(second)[axis] + of(first)[axis])
-                        / (CYCLE_S * CYCLE_S)
-                };
-                largest(
-                    &mut seen.sum,
-                    third.drive[axis] - third.planner[axis] - third.offset[axis],
-                );
-                largest(
-                    &mut seen.feedback,
-                    third.feedback[axis] - (second.drive[axis] - second.offset[axis]),
-                );
-                largest(
-                    &mut seen.offset_speed,
-                    (third.offset[axis] - second.offset[axis]) / CYCLE_S,
-                );
-                largest(&mut seen.offset_acceleration, second_difference(|it| &it.offset));
-                largest(&mut seen.offset, third.offset[axis]);
-                if is_on {
-                    largest(
-                        &mut seen.drive_speed,
-                        (third.drive[axis] - second.drive[axis]) / CYCLE_S,
-                    );
-                    largest(&mut seen.drive_acceleration, second_difference(|it| &it.drive));
-                    largest(&mut seen.planner_acceleration, second_difference(|it| &it.planner));
-                }
-            }
-        }
-        seen
-    }
-}
-
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
@@ -319,7 +236,7 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
             &format!("[JOINT_{joint}]\nTYPE = LINEAR\nFERROR = 1\nMIN_FERROR = 1\n{motion}{home}");
     }
     let bridge = FakeBridge::start()?;
-    let mut cnc = stock(control, &text, "joint", &bridge)?;
+    let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
     cnc.switch_on()?;
     bridge.say([10.0, -20.0, 40.0]);
     let names = [0, 1, 2, 3].map(|joint| format!("trueup-mv.offset-current-{joint}"));
@@ -341,7 +258,7 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
 fn external_offsets_that_setup_has_written_act() -> Result<()> {
     let Some(control) = setup::linuxcnc()? else { return Ok(()) };
     let bridge = FakeBridge::start()?;
-    let mut cnc = stock(control, &ini(), "eoffset", &bridge)?;
+    let mut cnc = stock(control, &ini(), "eoffset", SLEW, &bridge)?;
     cnc.switch_on()?;
     bridge.say([10.0, -20.0, 40.0]);
     let names = ["axis.x.eoffset", "axis.y.eoffset", "axis.z.eoffset", "trueup.0.applied"];

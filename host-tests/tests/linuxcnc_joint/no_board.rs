@@ -66,7 +66,7 @@ struct Cycle {
 }
 
 /// Returns the error of X, in µm.
-fn error_um(x_mm: f64) -> f64 {
+pub(crate) fn error_um(x_mm: f64) -> f64 {
     let place = (x_mm + 50.0).rem_euclid(20.0);
     if place <= 10.0 { 10.0 * place } else { 200.0 - 10.0 * place }
 }
@@ -82,7 +82,7 @@ fn install(folder: &Path) -> Result<()> {
 }
 
 /// Starts a stock configuration, which is checked, set up, taken out to the byte, and set up again.
-fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headless> {
+pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headless> {
     let folder = Headless::new_folder()?;
     let path = |name: &str| folder.path().join(name);
     let here = folder.path().to_str().context("a temporary folder has a plain name")?;

@@ -40,7 +40,7 @@ JOINTS = 3
 /// A switch, a probe, and a recorder whose pins are connected later.
 pub(crate) const OWN: &str = "\
 loadrt comp names=switch,probe
-loadrt sampler depth=16000 cfg=fffffffffffffb
+loadrt sampler depth=16000 cfg=fffffffffffffbfffs
 addf switch servo-thread
 addf probe servo-thread
 addf sampler.0 servo-thread

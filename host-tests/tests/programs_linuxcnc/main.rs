@@ -11,6 +11,7 @@
 
 mod cycles;
 mod stops;
+mod touches;
 
 use std::{
     borrow::Cow,
@@ -113,7 +114,7 @@ fn read<'n>(
 /// `factor` seconds of the machine.
 fn measure(rig: &mut Rig, plan: &Plan, scenario: &Scenario, factor: f64) -> Result<String> {
     let Rig { cnc, cycles, .. } = rig;
-    let program = control::program(plan, Control::LinuxCnc);
+    let program = control::program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&program.0), program.1)?;
     let text = template::templates(plan).remove(0).1;
     // What stands before the columns is for the reader.
@@ -210,6 +211,10 @@ impl Rig {
 }
 
 fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
+    start_with(linuxcnc, RECORDER)
+}
+
+fn start_with(linuxcnc: LinuxCnc, hal: &str) -> Result<Rig> {
     let axes = TRAVEL_MM.map(|travel_mm| Axis {
         limits: format!(
             "MIN_LIMIT = -0.0001\nMAX_LIMIT = {}\nMAX_VELOCITY = 5000\nMAX_ACCELERATION = 50000\n",
@@ -217,7 +222,7 @@ fn start(linuxcnc: LinuxCnc) -> Result<Rig> {
         ),
         joint: String::new(),
     });
-    let cnc = three_joints::start(linuxcnc, &axes, RECORDER, &[])?;
+    let cnc = three_joints::start(linuxcnc, &axes, hal, &[])?;
     let (recorder, cycles) = cnc.sample()?;
     Ok(Rig { cnc, cycles: Cycles::of(cycles), recorder })
 }

@@ -1,16 +1,16 @@
 //! The stops of the programs on the real LinuxCNC: nothing moves before the first, and after it only the axes that the
-//! program names, where it says.
+//! program names, where it says; circles are round and have no stop, and a sphere is found where it is.
 
 use std::{
     fs, thread,
     time::{Duration, Instant},
 };
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{linuxcnc::headless::Headless, setup};
-use trueup_program::{Control, Kind, Options, Plan, control};
+use trueup_program::{Control, Kind, Options, Plan, arc::Arc, control, plan::Step};
 
-use crate::{PATIENCE_S, Rig, Y, cycles::Cycles, made, options, start};
+use crate::{PATIENCE_S, RECORDER, Rig, X, Y, cycles::Cycles, made, options, start_with, touches};
 
 /// Pins with LinuxCNC's commands of X, Y, Z and the spindle.
 const COMMANDED: [&str; 4] = [
@@ -52,21 +52,20 @@ const LATE: u32 = 5;
 /// A program of a few moves ends within so long on a busy computer.
 const PROGRAM: Duration = Duration::from_secs(60);
 
-/// Runs a program with all its stops; returns from where to where each axis was sent after the first of them.
-fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<[[f64; 2]; 3]> {
+/// Runs a program with all its stops; returns where the axes were sent in each servo cycle after the first of them.
+fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<Vec<[f64; 3]>> {
     let Rig { cnc, cycles, .. } = rig;
-    let (name, text) = control::program(plan, Control::LinuxCnc);
+    let (name, text) = control::program(plan, Control::LinuxCnc)?;
     fs::write(cnc.folder().join(&name), text)?;
     begin_and_pass_the_stop(cnc, cycles, &name)?;
     let begun = Instant::now();
-    let mut seen = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+    let mut seen = Vec::new();
     // The recorder is a little late: this many more cycles hold the end of the program.
     let mut more = LATE;
     while more > 0 {
         for _ in 0..EACH {
-            for ([low, high], mm) in seen.iter_mut().zip(cycles.next()?) {
-                (*low, *high) = (low.min(mm), high.max(mm));
-            }
+            let [x, y, z, _] = cycles.next()?;
+            seen.push([x, y, z]);
         }
         if cnc.is_stopped()? {
             cnc.resume()?;
@@ -77,6 +76,67 @@ fn run_with_stops(rig: &mut Rig, plan: &Plan) -> Result<[[f64; 2]; 3]> {
     Ok(seen)
 }
 
+/// A place that is this near to the circle is on it, in mm: its ends are whole micrometres.
+const ON_CIRCLE_MM: f64 = 1e-3;
+
+/// LinuxCNC goes around the centre of each arc as far as the plan says, on the circle, and does not stop on the way.
+fn check_arcs(plan: &Plan, seen: &[[f64; 3]]) -> Result<()> {
+    let mut at = 0;
+    for step in &plan.steps {
+        let Step::Arc(arc) = step else { continue };
+        let off = |mm: &[f64; 3]| [0, 1].map(|n| mm[arc.axes[n]] - arc.centre_mm[n]);
+        let start = plan_start(plan, arc);
+        let radius = off(&start)[0].hypot(off(&start)[1]);
+        // Its interpolator takes the mean of three points, 1 : 4 : 1, one servo period apart.
+        let step_mm = arc.feed_mm_per_min / 60_000.0;
+        let near_mm = ON_CIRCLE_MM + step_mm * step_mm / (6.0 * radius);
+        let is_on = |mm: &[f64; 3]| (off(mm)[0].hypot(off(mm)[1]) - radius).abs() < near_mm;
+        let angle = |mm: &[f64; 3]| off(mm)[1].atan2(off(mm)[0]).to_degrees();
+        let turn = |pair: &[[f64; 3]]| {
+            (angle(&pair[1]) - angle(&pair[0]) + 540.0).rem_euclid(360.0) - 180.0
+        };
+        // It stands at the start before it goes around.
+        let begins = |pair: &[[f64; 3]]| {
+            is_on(&pair[0]) && is_on(&pair[1]) && turn(pair) * arc.sense() > 0.0
+        };
+        let begin = seen[at..].windows(2).position(begins);
+        at += begin.with_context(|| format!("{}: no arc of {}°", plan.name, arc.turn_deg))?;
+        let mut turned = 0.0;
+        while (arc.turn_deg.abs() - turned) > 0.01 {
+            let pair =
+                seen.get(at..at + 2).with_context(|| format!("{}: only {turned}°", plan.name))?;
+            ensure!(
+                is_on(&pair[1]),
+                "{}: {:?} is not on the circle after {turned}°",
+                plan.name,
+                pair[1]
+            );
+            let step = turn(pair) * arc.sense();
+            ensure!(step > 0.0, "{}: it stops or turns back after {turned}°", plan.name);
+            turned += step;
+            at += 1;
+        }
+        ensure!(turned < arc.turn_deg.abs() + 0.01, "{}: {turned}°", plan.name);
+    }
+    Ok(())
+}
+
+/// Returns where an arc begins: at the last places that its axes are sent to before.
+fn plan_start(plan: &Plan, arc: &Arc) -> [f64; 3] {
+    let mut mm = [0.0; 3];
+    for step in plan.steps.iter().take_while(|step| !matches!(step, Step::Arc(it) if it == arc)) {
+        match step {
+            Step::Approach { axis, to_mm } => mm[*axis] = *to_mm,
+            Step::Arc(before) => {
+                let end = before.end_mm(before.axes.map(|axis| mm[axis]));
+                before.axes.into_iter().zip(end).for_each(|(axis, to)| mm[axis] = to);
+            }
+            _ => {}
+        }
+    }
+    mm
+}
+
 #[test]
 #[ignore = "long: the real LinuxCNC"]
 fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -> Result<()> {
@@ -84,7 +144,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
         println!("skipped: this distribution has no package of LinuxCNC");
         return Ok(());
     };
-    let mut rig = start(control)?;
+    let mut rig = start_with(control, &[RECORDER, &touches::wires()].concat())?;
     let mut made_of = 0;
     for kind in [
         Kind::Backlash,
@@ -93,6 +153,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
         Kind::Warmup,
         Kind::AxisHeat,
         Kind::Diagonal,
+        Kind::Circle,
     ] {
         let wanted = Options {
             range_mm: RANGES_MM.map(Some),
@@ -105,14 +166,20 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
             heat_s: Some(if kind == Kind::AxisHeat { 1.0 } else { 2.0 }),
             heat_feed_mm_per_min: 60_000.0,
             spindle_rpm: Some(1000.0),
-            ..options(&[])
+            radius_mm: Some(50.0),
+            // Of the circles the one of whole turns.
+            ..options(if kind == Kind::Circle { &[X, Y] } else { &[] })
         };
         for plan in made(kind, &wanted)? {
             let places =
                 ["joint.0.motor-pos-cmd", "joint.1.motor-pos-cmd", "joint.2.motor-pos-cmd"];
             let before = rig.cnc.pins(&places)?;
             let seen = run_with_stops(&mut rig, &plan)?;
-            for (n, [low, high]) in seen.into_iter().enumerate() {
+            check_arcs(&plan, &seen)?;
+            for n in 0..3 {
+                let of_axis = || seen.iter().map(|mm| mm[n]);
+                let low = of_axis().fold(f64::INFINITY, f64::min);
+                let high = of_axis().fold(f64::NEG_INFINITY, f64::max);
                 let named = plan.extent_mm()[n];
                 // The way to its first place may begin anywhere.
                 let [from, to] = named
@@ -126,6 +193,7 @@ fn programs_move_nothing_before_their_stop_and_no_axis_that_they_do_not_name() -
             made_of += 1;
         }
     }
-    assert_eq!(made_of, 3 + 3 + 3 + 1 + 3 + 3);
+    assert_eq!(made_of, 3 + 3 + 3 + 1 + 3 + 3 + 1);
+    touches::check_sphere(&mut rig)?;
     rig.end()
 }

@@ -2,7 +2,7 @@
 //!
 //! | for | files | by |
 //! |---|---|---|
-//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for the platform of this computer | this file |
+//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for each | this file |
 //! | Windows, x86-64 | `.zip` with the tool and licences | this file |
 //! | the board | images with their `.elf`, which alone can read a board's log | this file |
 //! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `papers.rs` |
@@ -135,15 +135,19 @@ pub fn once() -> Result<()> {
     fs::create_dir_all(&folder)?;
     // Before the tool, which carries them.
     copy_all(&firmware::carried()?, &folder)?;
-    for platform in &PLATFORMS {
-        if missing(platform, has_library, |program| process::find(program).is_some()).is_none() {
-            pack(platform, &root, &folder)?;
-        }
+    let built: Vec<&Platform> = PLATFORMS
+        .iter()
+        .filter(|it| missing(it, has_library, |program| process::find(program).is_some()).is_none())
+        .collect();
+    built.iter().try_for_each(|platform| pack(platform, &root, &folder))?;
+    let mut packages = vec![debian::package()?];
+    for Platform { target, .. } in built.iter().filter(|it| !it.is_windows && !is_own(it.target)) {
+        packages.push(debian::package_for(target)?);
     }
-    // The package is of this computer's own platform.
-    let package = debian::package()?;
-    let name = package.file_name().context("a package has a name")?;
-    fs::copy(&package, folder.join(name))?;
+    for package in packages {
+        let name = package.file_name().context("a package has a name")?;
+        fs::copy(&package, folder.join(name))?;
+    }
     Ok(())
 }
 
@@ -181,13 +185,18 @@ fn is_of(target: &str, architecture: &str, system: &str) -> bool {
     target.strip_prefix(architecture).and_then(|it| it.strip_prefix('-')) == Some(rest)
 }
 
+/// Returns whether a build without `--target` on this computer is for `target`.
+fn is_own(target: &str) -> bool {
+    cfg!(target_env = "gnu") && is_of(target, consts::ARCH, consts::OS)
+}
+
 /// Builds the tool for a platform and packs it.
 fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let Platform { target, linker: (linker, _), is_windows } = platform;
     let mut build = cargo::locked("build");
     build.args(["--release", "--package", "trueup-cli"]);
     // This computer's own is built once, for the archive and for the package.
-    let is_own = cfg!(target_env = "gnu") && is_of(target, consts::ARCH, consts::OS);
+    let is_own = is_own(target);
     let mut built = root.join("target");
     if !is_own {
         build.args(["--target", target]);

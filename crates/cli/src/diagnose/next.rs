@@ -121,7 +121,7 @@ pub fn write(
         }
     };
     plan.then = vec![line(args)];
-    let (name, text) = control::program(&plan, control.control());
+    let (name, text) = control::program(&plan, control.control())?;
     let mut texts = vec![
         (name.clone(), text),
         ("next.json".into(), serde_json::to_string_pretty(&next)? + "\n"),

@@ -1,6 +1,9 @@
 //! Where the jobs of a fleet are: a folder, or a NATS server.
 
-use std::{env, fmt, io, path::PathBuf};
+use std::{
+    env, fmt, io,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Result;
 use clap::Args;
@@ -62,19 +65,7 @@ impl Place {
     }
 
     fn access(&self) -> Result<Access, UserError> {
-        let url = self.nats.clone().unwrap_or_default();
-        if url.contains('@') {
-            let rule = "name and password stand in TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD, not in the address";
-            return Err(UserError(format!("--nats: {rule}")));
-        }
-        if let Some(file) = self.nats_ca.as_ref().filter(|file| !file.is_file()) {
-            return Err(UserError(format!("{}: is no file", file.display())));
-        }
-        let login = login()?;
-        if login.is_some() && is_readable(&url) {
-            report::warn("--nats: the password can be read on the network: write tls://HOST:PORT");
-        }
-        Ok(Access { url, login, authority: self.nats_ca.clone() })
+        access(self.nats.as_deref().unwrap_or_default(), self.nats_ca.as_deref())
     }
 
     /// Returns the options that name the place, for a line to be typed.
@@ -106,6 +97,22 @@ impl Opened {
             Self::Server(remote) => remote.status(),
         }
     }
+}
+
+/// Returns how a server is reached.
+pub fn access(url: &str, authority: Option<&Path>) -> Result<Access, UserError> {
+    if url.contains('@') {
+        let rule = "name and password stand in TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD, not in the address";
+        return Err(UserError(format!("--nats: {rule}")));
+    }
+    if let Some(file) = authority.filter(|file| !file.is_file()) {
+        return Err(UserError(format!("{}: is no file", file.display())));
+    }
+    let login = login()?;
+    if login.is_some() && is_readable(url) {
+        report::warn("--nats: the password can be read on the network: write tls://HOST:PORT");
+    }
+    Ok(Access { url: url.into(), login, authority: authority.map(PathBuf::from) })
 }
 
 /// Returns whether what is sent to this address can be read on a network.

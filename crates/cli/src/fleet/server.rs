@@ -1,21 +1,33 @@
 //! `trueup fleet server`: a NATS server with the configuration that a fleet needs.
 
 use std::{
-    fs,
-    net::SocketAddr,
+    fs::{self, File},
+    io,
+    net::{SocketAddr, TcpListener},
     path::{Path, PathBuf},
-    process::Command,
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_fleet::nats::server::{self, Config};
+use trueup_fleet::nats::{
+    Access, records,
+    server::{self, Config},
+};
 use trueup_output::escape::shell_word;
 
 use super::place::login;
 use crate::{Outcome, UserError, output, report};
 
 const PROGRAM: &str = "nats-server";
+/// How long a server may take to start, or to end.
+const START: Duration = Duration::from_secs(60);
+/// In the folder of its store: the limit for records that the streams there have.
+const LIMIT: &str = "records-gb";
+/// The limit of a store that has none yet.
+const RECORDS_GB: u32 = 4;
 
 /// Starts a NATS server for workers on several computers, with what it needs to lose nothing.
 ///
@@ -38,44 +50,124 @@ pub struct Server {
     /// Its private key.
     #[arg(long, value_name = "KEY.pem", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
+    /// The address for bridges, which `trueup serve --mqtt` publishes to: their records and events are kept here too.
+    #[arg(long, value_name = "HOST:PORT")]
+    mqtt: Option<SocketAddr>,
+    /// Records and events that it keeps at most, in GB; the oldest give way, at once if you give less than before. Left
+    /// out, as before, and 4 at the first start.
+    #[arg(long, value_name = "GB", requires = "mqtt", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    records_gb: Option<u32>,
 }
 
 pub fn run(args: &Server, as_json: bool) -> Result<Outcome> {
     let program = args.program.as_deref().unwrap_or(Path::new(PROGRAM));
     let (major, minor) = server::version(program).map_err(|error| UserError(error.to_string()))?;
     let login = login()?;
-    if login.is_none() && !args.listen.ip().is_loopback() {
-        let rule = "is seen by other computers: set TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD";
-        return Err(UserError(format!("--listen {}: {rule}", args.listen)).into());
+    let addresses = [Some(("--listen", args.listen)), args.mqtt.map(|it| ("--mqtt", it))];
+    for (option, address) in addresses.into_iter().flatten().filter(|it| !it.1.ip().is_loopback()) {
+        if login.is_none() {
+            let rule = "is seen by other computers: set TRUEUP_NATS_USER and TRUEUP_NATS_PASSWORD";
+            return Err(UserError(format!("{option} {address}: {rule}")).into());
+        }
+        if args.tls_cert.is_none() {
+            let rule = "the password and what is sent can be read on the network: give --tls-cert and --tls-key";
+            report::warn(format_args!("{option} {address}: {rule}"));
+        }
     }
-    if args.tls_cert.is_none() && !args.listen.ip().is_loopback() {
-        let rule =
-            "the password and the runs can be read on the network: give --tls-cert and --tls-key";
-        report::warn(format_args!("--listen {}: {rule}", args.listen));
-    }
-    let named = |error| UserError(format!("{}: cannot be made: {error}", args.dir.display()));
-    fs::create_dir_all(&args.dir).map_err(named)?;
+    let lock = server::lock(&args.dir).map_err(|error| UserError(error.to_string()))?;
     let folder = fs::canonicalize(&args.dir)?;
     let certificate = args.tls_cert.clone().zip(args.tls_key.clone());
+    let letter = if certificate.is_some() { "s" } else { "" };
     let scheme = if certificate.is_some() { "tls" } else { "nats" };
-    let config = Config { listen: args.listen, folder: folder.clone(), login, certificate };
+    let (listen, mqtt) = (args.listen, args.mqtt);
+    let config = Config { listen, folder: folder.clone(), login, certificate, mqtt };
+    if mqtt.is_some() {
+        prepare(program, &config, args.records_gb, &lock)?;
+    }
     let file = folder.join("nats.conf");
     private(&file, &config.text())?;
-    let url = format!("{scheme}://{}", args.listen);
+    let url = format!("{scheme}://{listen}");
+    let mqtt = mqtt.map(|it| format!("mqtt{letter}://{it}"));
     if as_json {
-        output::print(serde_json::json!({"url": url, "config": file}))?;
+        output::print(serde_json::json!({"url": url, "config": file, "mqtt": mqtt}))?;
     } else {
         output::print(format_args!(
             "nats-server {major}.{minor} on {url}, configured by {}",
             file.display()
         ))?;
         let machine = "--machine mill-7.toml --run mill-7-2026-11-22.csv";
-        output::print(format_args!(
-            "then: trueup fleet submit --nats {} {machine}",
-            shell_word(&url)
-        ))?;
+        let url = shell_word(&url);
+        output::print(format_args!("then: trueup fleet submit --nats {url} {machine}"))?;
+        if let Some(mqtt) = &mqtt {
+            let bridge = "--port /dev/ttyUSB0 --name mill-7 --spool spool";
+            output::print(format_args!("then: trueup serve {bridge} --mqtt {}", shell_word(mqtt)))?;
+        }
     }
-    replaced_by(Command::new(program).arg("--config").arg(&file))
+    // It reads no input: the open file alone keeps the folder.
+    replaced_by(Command::new(program).arg("--config").arg(&file).stdin(lock))
+}
+
+/// Makes the streams for bridges, unless the store has them: by a server that listens to this computer alone and ends
+/// again. The listener for MQTT would make others.
+fn prepare(program: &Path, config: &Config, records_gb: Option<u32>, lock: &File) -> Result<()> {
+    let made = config.store().join(LIMIT);
+    let there: Option<u32> = fs::read_to_string(&made).ok().and_then(|it| it.trim().parse().ok());
+    let Some(records_gb) = new_limit(records_gb, there) else { return Ok(()) };
+    let listen = TcpListener::bind("127.0.0.1:0")?.local_addr()?;
+    let alone = Config { listen, certificate: None, mqtt: None, ..config.clone() };
+    let file = config.folder.join("prepare.conf");
+    private(&file, &alone.text())?;
+    let mut server = Command::new(program);
+    server.arg("--config").arg(&file).stdin(lock.try_clone()?);
+    server.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut server = server.spawn()?;
+    let streams = streams(&mut server, &alone, records_gb);
+    end(program, &mut server);
+    streams?;
+    fs::remove_file(file)?;
+    Ok(fs::write(made, format!("{records_gb}\n"))?)
+}
+
+/// Returns the limit that the streams are to get, from what the user asks for and what is there; `None`: they have it.
+fn new_limit(asked: Option<u32>, there: Option<u32>) -> Option<u32> {
+    let limit = asked.or(there).unwrap_or(RECORDS_GB);
+    (there != Some(limit)).then_some(limit)
+}
+
+/// Waits for a server, and makes the streams.
+fn streams(server: &mut Child, config: &Config, records_gb: u32) -> Result<(), UserError> {
+    let url = format!("nats://{}", config.listen);
+    let access = Access { url, login: config.login.clone(), authority: None };
+    let until = Instant::now() + START;
+    loop {
+        let Err(error) = records::prepare(&access, i64::from(records_gb) << 30) else {
+            return Ok(());
+        };
+        if error.kind() != io::ErrorKind::ConnectionRefused || Instant::now() >= until {
+            return Err(UserError(format!("{error}; --records-gb {records_gb}")));
+        }
+        if let Ok(Some(status)) = server.try_wait() {
+            let file = config.folder.join("prepare.conf");
+            let rule = format!("nats-server ends ({status}) with --config {}", file.display());
+            return Err(UserError(rule));
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Ends a server in order: its next start need not look through its store.
+fn end(program: &Path, server: &mut Child) {
+    let signal = format!("quit={}", server.id());
+    let asked = Command::new(program).arg("--signal").arg(signal).output();
+    let until = Instant::now() + START;
+    while asked.as_ref().is_ok_and(|it| it.status.success()) && Instant::now() < until {
+        if server.try_wait().is_ok_and(|it| it.is_some()) {
+            return;
+        }
+        thread::sleep(Duration::from_millis(10));
+    }
+    server.kill().ok();
+    server.wait().ok();
 }
 
 /// Writes a file that only its owner can read: it may hold a password.
@@ -98,4 +190,17 @@ fn replaced_by(command: &mut Command) -> Result<Outcome> {
 fn replaced_by(command: &mut Command) -> Result<Outcome> {
     let status = command.status()?;
     Ok(if status.success() { Outcome::Done } else { Outcome::NotMet })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_that_is_left_out_removes_no_record() {
+        assert_eq!(new_limit(None, Some(100)), None);
+        assert_eq!(new_limit(None, None), Some(RECORDS_GB));
+        assert_eq!(new_limit(Some(8), Some(8)), None);
+        assert_eq!(new_limit(Some(8), Some(4)), Some(8));
+    }
 }

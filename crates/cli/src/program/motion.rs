@@ -79,7 +79,8 @@ impl Motion {
     }
 }
 
-fn axis(name: &str) -> Option<LinearAxis> {
+/// `x`, `y` or `z`.
+pub fn axis(name: &str) -> Option<LinearAxis> {
     LinearAxis::ALL.into_iter().find(|axis| axis.name() == name.trim())
 }
 

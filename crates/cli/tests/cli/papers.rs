@@ -59,6 +59,48 @@ fn a_program_its_filled_run_file_and_the_fit_go_together() {
         let (_, err) = desk.said(&format!("{line} {wrong}"), 2);
         assert!(err.contains(rule), "{wrong}: {err}");
     }
+    for (wrong, rule) in [
+        ("circle --axis x", "a circle needs two axes"),
+        ("circle --at x", "must be like x=400,y=300"),
+        ("circle --at x=1,x=2", "--at x is given twice"),
+        ("circle --range y=0:300 --radius 0", "--radius must be above 0"),
+        ("circle --range y=0:300 --at x=30", "give a smaller --radius, another centre"),
+        ("sphere", "a sphere is probed with three axes"),
+        ("sphere --range y=0:300,z=-200:0 --stylus 6", "--at x=MM"),
+        ("sphere --range y=0:300,z=-200:0 --stylus 6 --at x=1,y=1,z=1", "give --ball"),
+        (
+            "sphere --range y=0:300,z=-200:0 --stylus 6 --at x=9,y=90,z=-90 --ball 20",
+            "x would go to",
+        ),
+        (
+            "sphere --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90 --ball 20 --search 9",
+            "too far",
+        ),
+        (
+            "sphere --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90 --ball 20 --angle c=0,30",
+            "has no C",
+        ),
+        ("sphere --angle c=0,x", "must be like c=-60,0,60"),
+        ("plate --balls 5", "must be like 5x5"),
+        (
+            "plate --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90 --ball 20",
+            "give --step-mm",
+        ),
+        (
+            "plate --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90 --ball 20 --step-mm 30",
+            "the stylus needs",
+        ),
+        ("square --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90", "give --size"),
+        (
+            "square --range y=0:300,z=-200:0 --stylus 6 --at x=90,y=90,z=-90 --size 300",
+            "y would go to",
+        ),
+    ] {
+        let (_, err) =
+            desk.said(&format!("program {wrong} --machine m.toml --for linuxcnc -o w"), 2);
+        assert!(err.contains(rule), "{wrong}: {err}");
+    }
+    assert!(!desk.path("w").exists(), "{:?}", desk.files("w"));
     let (json, _) = desk.said("--json program pitch --machine m.toml --for siemens -o p", 0);
     let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
     assert_eq!(json["programs"][0]["program"], "pitch_x.mpf");

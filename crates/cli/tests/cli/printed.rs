@@ -247,6 +247,7 @@ fn what_a_program_and_a_fit_say_to_type_next_runs_as_printed() {
         ("straightness", "mill.toml", "--axis x"),
         ("axis-heat", "mill.toml", "--axis x"),
         ("diagonal", "mill.toml", "--axis x,y"),
+        ("circle", "mill.toml", "--axis x,y"),
         ("warmup", "mill.toml", "--rpm 3000"),
         ("warmup", "mill.toml", "--rpm 3000 --gauge dial"),
         // Two drives of an axis have a run file each.

@@ -34,7 +34,7 @@ fn run(more_um: f64) -> String {
 }
 
 /// A line of each command. `PORT` is a bridge, and `NONE` a port where nothing listens.
-const LINES: [&str; 42] = [
+const LINES: [&str; 43] = [
     "--help",
     "no-such-command",
     "accept --off run.csv --on small.csv --out o-accept",
@@ -69,6 +69,7 @@ const LINES: [&str; 42] = [
     "predict --machine m.toml --run run.csv -o -",
     "predict --machine m.toml --run bad.csv -o o.csv",
     "program warmup --machine m.toml --rpm 1000 --for siemens --out o-program",
+    "program circle --machine gantry.toml --for linuxcnc --out o-program",
     "schema",
     "serve --port PORT --name n --spool o-spool --mtconnect 127.0.0.1:0 --once",
     "show cal.bin",
@@ -201,6 +202,7 @@ fn a_result_that_is_the_product_is_missed_on_a_full_disk() {
     let desk = desk();
     for line in [
         "predict --machine m.toml --run run.csv -o -",
+        "program circle --machine gantry.toml --for linuxcnc --out o-program",
         "schema",
         "show cal.bin",
         "completions bash",

@@ -35,7 +35,7 @@ const LAST_ANSWERS: [(&str, &str); 6] = [
 ];
 /// As many readings of the gauge as the page says, and the time between two of them.
 const READINGS: usize = 12;
-const BETWEEN: Duration = Duration::from_secs(4);
+const BETWEEN: Duration = Duration::from_secs(2);
 
 /// Returns every page of the book as one text.
 fn book() -> String {

@@ -78,24 +78,45 @@ def mode(name):
     wait(name, lambda: status.task_mode == MODES[name])
 
 
-def home(joint=-1):
+def begin_home(joint):
     mode("manual")
     command.teleop_enable(0)
     command.wait_complete()
     command.home(joint)
+
+
+def home(joint=-1):
+    begin_home(joint)
     if joint >= 0:
         wait("homing", lambda: not status.homed[joint], 5.0)
     wait("home", lambda: all(status.homed[: status.joints]))
 
 
-def jog(axis, speed):
-    """Jogs an axis until it stands: at its limit, or stopped by something else."""
+def jog(axis, speed, seconds=None):
+    """Jogs an axis for that long, or until it stands: at its limit, or stopped by something else."""
     mode("manual")
     command.teleop_enable(1)
     command.wait_complete()
     command.jog(linuxcnc.JOG_CONTINUOUS, 0, axis, speed)
-    time.sleep(0.2)
+    time.sleep(0.2 if seconds is None else seconds)
+    if seconds is None:
+        wait("jog", lambda: stands(axis))
+    # At a limit the jog goes on until the key is released: LinuxCNC changes no mode before.
+    command.jog(linuxcnc.JOG_STOP, 0, axis)
+    command.wait_complete()
     wait("jog", lambda: status.inpos)
+
+
+def stands(axis):
+    """Whether an axis stands: while it jogs, LinuxCNC calls it in position. Without a realtime kernel the servo thread
+    itself may stand for one of the three looks."""
+    pin = f"axis.{'xyzabcuvw'[axis]}.pos-cmd"
+    for _ in range(3):
+        before = hal.get_value(pin)
+        time.sleep(0.05)
+        if abs(hal.get_value(pin) - before) >= 1e-6:
+            return False
+    return True
 
 
 def unhome():
@@ -152,6 +173,28 @@ def stopped():
     return status.interp_state == linuxcnc.INTERP_PAUSED and status.inpos
 
 
+def pause():
+    command.auto(linuxcnc.AUTO_PAUSE)
+    command.wait_complete()
+
+
+def idle(seconds=60.0):
+    """Waits until nothing moves and the interpreter has nothing to do."""
+    command.wait_complete(seconds)
+    wait(
+        "idle",
+        lambda: status.inpos and status.interp_state == linuxcnc.INTERP_IDLE,
+        seconds,
+    )
+
+
+def overrides(feed, rapid):
+    command.feedrate(feed)
+    command.wait_complete()
+    command.rapidrate(rapid)
+    command.wait_complete()
+
+
 def resume():
     command.auto(linuxcnc.AUTO_RESUME)
     wait("resume", lambda: status.interp_state != linuxcnc.INTERP_PAUSED)
@@ -195,6 +238,10 @@ def halcmd(words):
     return text
 
 
+def version():
+    return linuxcnc.version
+
+
 def stat():
     status.poll()
     return {
@@ -212,9 +259,9 @@ def stat():
 VERBS = {
     function.__name__: function
     for function in (
-        *(state, mode, home, unhome, teleop, jog),
-        *(mdi, begin_mdi, begin, busy, stopped, resume, abort),
-        *(pins, setp, mark, zero, halcmd, stat),
+        *(state, mode, begin_home, home, unhome, teleop, jog),
+        *(mdi, begin_mdi, begin, busy, stopped, pause, resume, abort),
+        *(idle, overrides, pins, setp, mark, zero, halcmd, stat, version),
     )
 }
 

@@ -41,8 +41,12 @@ pub fn propose(
             break;
         }
         let mut all = readings.to_vec();
-        let first = readings.iter().map(|it| it.setup + 1).max().unwrap_or(0);
-        all.extend(candidate.readings.iter().map(|it| Reading { setup: it.setup + first, ..*it }));
+        let first = readings.iter().map(|it| it.setup.max(it.aligned) + 1).max().unwrap_or(0);
+        all.extend(candidate.readings.iter().map(|it| Reading {
+            setup: it.setup + first,
+            aligned: it.aligned + first,
+            ..*it
+        }));
         let design = Design::of(machine, constants.clone(), &all);
         let normals = normals(&design, &all, |_| true);
         let sight = sight(&design, &normals, uncertainty, noise_um);
@@ -94,12 +98,13 @@ fn candidates(machine: &Machine, constants: &Constants, readings: &[Reading]) ->
             circle(&mut circles, setup, still, share, ends, tool_mm);
         }
         all.push(Candidate {
-            text: "circles in XY, YZ and ZX, each at both ends of the third axis".into(),
+            text: "circles in XY, YZ and ZX, each at both ends of the third axis (trueup program circle)".into(),
             readings: circles,
         });
-        let text = "step diagonals along the four body diagonals".into();
+        let text =
+            "step diagonals along the four body diagonals (trueup program step-diagonal)".into();
         all.push(Candidate { text, readings: diagonals(&place, tool_mm) });
-        let text = "a ball plate in three heights, then upright along X and along Y".into();
+        let text = "a ball plate in three heights (trueup program plate), then upright along X and along Y".into();
         all.push(Candidate { text, readings: plates(&place, tool_mm) });
     }
     let chain = machine.volume.chain.as_ref();
@@ -108,7 +113,7 @@ fn candidates(machine: &Machine, constants: &Constants, readings: &[Reading]) ->
         let frame = Frame::of(machine, chain);
         let middle = place([0.5; 3], [0.0; 3], tool_mm);
         let text =
-            "a sphere on the table, probed at many angles of the rotary axes and with two tools"
+            "a sphere on the table, probed at many angles of the rotary axes and with two tools (trueup program sphere)"
                 .into();
         all.push(Candidate { text, readings: sphere(&frame, &rotary, &middle) });
     }
@@ -131,6 +136,7 @@ fn blank(kind: Kind, setup: usize, pose: Pose) -> Reading {
         um: 0.0,
         measured_um: 0.0,
         setup,
+        aligned: setup,
         on_circle: None,
         on_edge: None,
         point: None,

@@ -7,7 +7,8 @@
 //! | `measured_diagonal_um` | the error along the way from the first to the last position of the set-up |
 //! | `measured_dr_um` | a circle, read as `fit circle` reads it |
 //!
-//! Rows of one file with one `setup` have one zero. Angles that the run does not state are 0.
+//! Rows of one file with one `setup` have one zero; rows with one number in `square` are touches of one square, whose faces share
+//! their alignment. Angles that the run does not state are 0.
 
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
@@ -27,6 +28,8 @@ pub const COMPONENTS: [&str; 3] = ["measured_dx_um", "measured_dy_um", "measured
 pub const DIAGONAL: &str = "measured_diagonal_um";
 /// Readings of one pass of a circle; more are thinned.
 const A_PASS: usize = 180;
+/// The alignment of a square, in the place of an axis.
+const OF_SQUARE: u64 = 4;
 /// Fewer readings are no measurement of a volume.
 pub const MIN_READINGS: usize = 24;
 
@@ -43,11 +46,12 @@ pub fn read(
     let mut readings: Vec<Reading> = Vec::new();
     for (file, run) in runs.iter().enumerate() {
         let own = rows(run, file, machine, is_certified, warnings)?;
-        let first = readings.iter().map(|it| it.setup + 1).max().unwrap_or(0);
+        let first = readings.iter().map(|it| it.setup.max(it.aligned) + 1).max().unwrap_or(0);
         // Edges of another file are other ones.
         let edge = readings.iter().filter_map(|it| it.on_edge).map(|it| it.edge + 1).max();
         readings.extend(own.into_iter().map(|it| Reading {
             setup: it.setup + first,
+            aligned: it.aligned + first,
             on_edge: it.on_edge.map(|on| OnEdge { edge: on.edge + edge.unwrap_or(0), ..on }),
             ..it
         }));
@@ -71,6 +75,7 @@ struct Columns<'r> {
     tool_mm: Option<&'r [f64]>,
     setup: Option<&'r [f64]>,
     point: Option<&'r [f64]>,
+    square: Option<&'r [f64]>,
     direction: [Option<&'r [f64]>; 3],
     offsets_um: Option<[Vec<f64>; 3]>,
     nominal_tool_mm: f64,
@@ -107,6 +112,7 @@ impl<'r> Columns<'r> {
             tool_mm: run.column("tool_length_mm"),
             setup: run.column("setup"),
             point: run.column("point"),
+            square: run.column("square"),
             direction: LinearAxis::ALL.map(|axis| run.column(&format!("dir_{}", axis.name()))),
             offsets_um,
             nominal_tool_mm: machine.volume.tool.length_mm,
@@ -206,6 +212,11 @@ fn components(
             // An edge is another artefact for each direction; its points have numbers below 0.
             let key = if kind == Kind::Edge { *n as u64 } else { 3 };
             let number = setups.number([kind as u64, key, setup, 0]);
+            let square = columns.square.map(|values| values[row]).filter(|it| it.is_finite());
+            let aligned = match square.filter(|_| kind == Kind::Edge) {
+                Some(square) => setups.number([kind as u64, OF_SQUARE, square.to_bits(), setup]),
+                None => number,
+            };
             let on_edge = match (kind, is_certified) {
                 (Kind::Edge, false) => on_edge(columns, run, row, [*n, number]),
                 _ => None,
@@ -223,6 +234,7 @@ fn components(
                 um: f64::NAN,
                 measured_um: value - reading,
                 setup: number,
+                aligned,
                 on_circle: None,
                 on_edge,
                 point,
@@ -300,13 +312,15 @@ fn diagonals(
             return Err(run.bad(row, DIAGONAL, rule));
         }
         let toward = way.map(|mm| mm / length);
+        let setup = setups.number([Kind::Diagonal as u64, 0, key(row), 0]);
         add(Reading {
             kind: Kind::Diagonal,
             pose: columns.pose(row),
             toward,
             um: f64::NAN,
             measured_um: values[row] - columns.applied_um(row, toward),
-            setup: setups.number([Kind::Diagonal as u64, 0, key(row), 0]),
+            setup,
+            aligned: setup,
             on_circle: None,
             on_edge: None,
             point: None,
@@ -349,13 +363,15 @@ fn circles(
                     row.setup as u64,
                     still_mm.to_bits() ^ pose.tool_mm.to_bits().rotate_left(1),
                 ];
+                let setup = setups.number(key);
                 let reading = Reading {
                     kind: Kind::Circle,
                     pose,
                     toward,
                     um: f64::NAN,
                     measured_um: row.measured_um,
-                    setup: setups.number(key),
+                    setup,
+                    aligned: setup,
                     on_circle: Some(OnCircle { angle: row.angle, sense: row.sense }),
                     on_edge: None,
                     point: None,

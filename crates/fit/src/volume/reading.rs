@@ -74,6 +74,8 @@ pub struct Reading {
     pub measured_um: f64,
     /// The number of its zero, from 0, over all files.
     pub setup: usize,
+    /// The number of its alignment: that of its zero, but both faces of a square have one alignment.
+    pub aligned: usize,
     /// Where on a circle.
     pub on_circle: Option<OnCircle>,
     /// Where on an edge without a certificate.

@@ -3,7 +3,7 @@
 //!
 //! | unknown | reading |
 //! |---|---|
-//! | zero of a set-up, alignment of a set-up | s + ω × p, of the workpiece and turned with its table |
+//! | zero of a set-up, alignment of a set-up | s + ω × p, of the workpiece and turned with its table; both faces of a square have one ω |
 //! | tip of each tool in a file | t, turned with the head |
 //! | scale of all artefacts of a kind | κ·p |
 //! | direction of a beam | δ·p across the diagonal: lateral steps see it to first order |
@@ -165,7 +165,7 @@ pub fn unknowns(reading: &Reading, frame: &Frame<'_>, centres: &Centres) -> Vec<
 }
 
 fn on_workpiece(reading: &Reading, frame: &Frame<'_>, arm_mm: [f64; 3]) -> Vec<(Nuisance, f64)> {
-    let (own, pose): (usize, &Pose) = (reading.setup, &reading.pose);
+    let (own, aligned, pose): (_, _, &Pose) = (reading.setup, reading.aligned, &reading.pose);
     let seen = |vector| dot(reading.toward, frame.workpiece_to_machine(vector, pose));
     let mut all = vec![(Nuisance::Scale(reading.kind), seen(arm_mm) / 1000.0)];
     if let Some(OnEdge { edge, share }) = reading.on_edge {
@@ -176,7 +176,7 @@ fn on_workpiece(reading: &Reading, frame: &Frame<'_>, arm_mm: [f64; 3]) -> Vec<(
         let mut one = [0.0; 3];
         one[n] = 1.0;
         all.push((Nuisance::Zero(own, n), seen(one)));
-        all.push((Nuisance::Turn(own, n), seen(cross(one, arm_mm)) / 1000.0));
+        all.push((Nuisance::Turn(aligned, n), seen(cross(one, arm_mm)) / 1000.0));
         let tip = dot(reading.toward, frame.tool_to_machine(one, pose));
         all.push((Nuisance::Tip(reading.source[0], pose.tool_mm.to_bits(), n), tip));
         if let Some(point) = reading.point {

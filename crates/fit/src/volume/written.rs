@@ -54,7 +54,7 @@ pub fn edit(
         });
         out.sections.push(section);
     }
-    out.angles();
+    out.angles(warnings);
     out.rotary();
     let edit = Edit { sections: out.sections, ..Edit::default() };
     (edit, out.written)
@@ -140,7 +140,7 @@ impl Sections<'_> {
             let Some(curve) = self.spline(error) else { continue };
             let there = self.machine.straightness.iter();
             let mut there = there.filter(|it| (it.error, it.along) == (axis, along));
-            let sum = together(curve, there.next().map(|it| &it.spline), |_| 0.0);
+            let sum = together(curve, there.next().map(|it| &it.spline), None);
             self.push_spline(NewSection::new(error.key()), error, sum, "control_um");
         }
     }
@@ -183,7 +183,7 @@ impl Sections<'_> {
         }
     }
 
-    fn angles(&mut self) {
+    fn angles(&mut self, warnings: &mut Vec<String>) {
         for error in self.constants.errors() {
             let Error::Angle(about, along) = error else { continue };
             let Some(curve) = self.spline(error) else { continue };
@@ -191,9 +191,18 @@ impl Sections<'_> {
             let mut there = there.filter(|it| (it.about, it.along) == (about, along));
             let sum = match there.next().map(|it| &it.angle) {
                 None => curve,
-                Some(Angle::Curve(spline)) => together(curve, Some(spline), |_| 0.0),
-                Some(Angle::Line(urad_per_m)) => {
-                    together(curve, None, |mm| urad_per_m * mm / 1000.0)
+                Some(Angle::Curve(spline)) => together(curve, Some(spline), None),
+                Some(&Angle::Line(per_m)) => {
+                    let travel_mm = self.machine.axes[along.index()].travel_mm;
+                    if travel_mm.is_none() {
+                        let [first, last] = ends_mm(&curve).map(|mm| rounded(mm, 1));
+                        let (key, axis) = (error.key(), along.name());
+                        warnings.push(format!(
+                            "{key} was a line and is a curve now: below {axis} {first} mm and above {last} mm its ends are held. \
+                             With travel_mm under [axis.{axis}] it goes on over the whole travel"
+                        ));
+                    }
+                    together(curve, None, Some(StatedLine { per_m, travel_mm }))
                 }
             };
             self.push_spline(NewSection::new(error.key()), error, sum, "control_urad");
@@ -263,16 +272,38 @@ fn table(curve: &BSpline, there: Option<&Pitch>) -> Pitch {
     Pitch { start_mm: first, step_mm: step, forward_um: of(1.0), reverse_um }
 }
 
-/// Returns the sum of a curve, of the spline that was there, and of another function over the curve's travel.
-fn together(curve: BSpline, there: Option<&BSpline>, other: impl Fn(f64) -> f64) -> BSpline {
+/// A line through 0 that the file has, which ends nowhere.
+#[derive(Clone, Copy)]
+struct StatedLine {
+    per_m: f64,
+    /// The travel of its axis, where the file states it.
+    travel_mm: Option<[f64; 2]>,
+}
+
+fn ends_mm(spline: &BSpline) -> [f64; 2] {
+    [spline.knots_mm[0], spline.knots_mm[spline.knots_mm.len() - 1]]
+}
+
+/// Returns the sum of a curve and of the spline or the line that was there, over all that they and the travel reach. The end of
+/// each spline is held beyond it, so that the sum has a bend there.
+fn together(curve: BSpline, there: Option<&BSpline>, line: Option<StatedLine>) -> BSpline {
     let mut knots: Vec<f64> = curve.knots_mm.clone();
     knots.extend(there.iter().flat_map(|it| it.knots_mm.iter().copied()));
+    knots.extend(line.and_then(|it| it.travel_mm).into_iter().flatten());
     knots.sort_unstable_by(f64::total_cmp);
     let (first, last) = (knots[0], knots[knots.len() - 1]);
     knots.dedup_by(|a, b| (*a - *b).abs() < 1e-3 * (last - first));
-    let inner = knots[1..knots.len() - 1].to_vec();
+    // At a knot that stands there three times the slope may jump: at the end of a spline, and where a spline has such a knot.
+    let times = |knot: f64| {
+        let near = |it: &&f64| (**it - knot).abs() < 1e-3 * (last - first);
+        let own = |it: &BSpline| it.knots_mm.iter().filter(near).count();
+        [Some(&curve), there].into_iter().flatten().map(own).max().unwrap_or(0).clamp(1, 3)
+    };
+    let inner = knots[1..knots.len() - 1].iter();
+    let inner: Vec<f64> = inner.flat_map(|&it| vec![it; times(it)]).collect();
+    let of_line = |mm: f64| line.map_or(0.0, |it| it.per_m * mm / 1000.0);
     let at_mm =
-        |mm: f64| spline_um(&curve, mm) + there.map_or(0.0, |it| spline_um(it, mm)) + other(mm);
+        |mm: f64| spline_um(&curve, mm) + there.map_or(0.0, |it| spline_um(it, mm)) + of_line(mm);
     let mut at: Vec<f64> =
         (0..=SAMPLES).map(|n| first + (last - first) * f64::from(n) / f64::from(SAMPLES)).collect();
     // Each piece has points of its own.
@@ -282,4 +313,47 @@ fn together(curve: BSpline, there: Option<&BSpline>, other: impl Fn(f64) -> f64)
     let points = at.iter().map(|mm| (*mm, at_mm(*mm), 1.0));
     let fitted = bspline::least_squares(bspline::clamped(4, first, &inner, last), 4, points);
     fitted.map_or(curve.clone(), |it| it.spline)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spline(knots_mm: &[f64], control_um: &[f64]) -> BSpline {
+        BSpline { order: 4, knots_mm: knots_mm.to_vec(), control_um: control_um.to_vec() }
+    }
+
+    #[test]
+    fn a_sum_is_right_to_the_ends_of_the_travel_and_of_both_curves() {
+        let curve = spline(
+            &[200.0, 200.0, 200.0, 200.0, 500.0, 600.0, 600.0, 600.0, 600.0],
+            &[-8.0, 3.0, -6.0, 5.0, 12.0],
+        );
+        let wider =
+            spline(&[0.0, 0.0, 0.0, 0.0, 900.0, 900.0, 900.0, 900.0], &[1.0, 4.0, -2.0, 7.0]);
+        let within = spline(
+            &[300.0, 300.0, 300.0, 300.0, 450.0, 450.0, 450.0, 450.0],
+            &[2.0, 9.0, -9.0, 4.0],
+        );
+        let line = StatedLine { per_m: 50.0, travel_mm: Some([-100.0, 1000.0]) };
+        for (there, line) in [(None, Some(line)), (Some(&wider), None), (Some(&within), None)] {
+            let sum = together(curve.clone(), there, line);
+            sum.check().expect("a spline of a machine file");
+            let [first, last] = ends_mm(&sum);
+            let reach_mm = match (line, there == Some(&wider)) {
+                (Some(_), _) => [-100.0, 1000.0],
+                (None, true) => [0.0, 900.0],
+                (None, false) => [200.0, 600.0],
+            };
+            assert_eq!([first, last], reach_mm);
+            for n in 0..=220 {
+                let mm = first + (last - first) * f64::from(n) / 220.0;
+                let whole = spline_um(&curve, mm)
+                    + there.map_or(0.0, |it| spline_um(it, mm))
+                    + line.map_or(0.0, |it| it.per_m * mm / 1000.0);
+                let um = spline_um(&sum, mm);
+                assert!((um - whole).abs() < 1e-6, "at {mm} mm: {um}, and it is {whole}");
+            }
+        }
+    }
 }

@@ -166,6 +166,44 @@ fn straightness_of_an_unknown_edge_is_not_claimed_and_its_angle_is() {
 }
 
 #[test]
+fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
+    let text = |travel: &str| {
+        format!(
+            "[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n{travel}\
+             [angular.eax]\nurad_per_m = 90.0\n"
+        )
+    };
+    let with_travel = text("[axis.x]\ntravel_mm = [0.0, 600.0]\n");
+    // From 150 to 450 mm it rolls as the line says and, over it, as an S.
+    let mut run = String::from("x_mm,y_mm,z_mm,measured_dy_um,measured_dz_um\n");
+    for (n, x) in (0..=10_u8).map(|n| (n, 150.0 + 30.0 * f64::from(n))) {
+        let s = f64::from(n) / 5.0 - 1.0;
+        let urad = 90.0 * x / 1000.0 + 40.0 * (s.powi(3) - s);
+        for (y, z) in [(0.0, 0.0), (300.0, 0.0), (0.0, 200.0), (300.0, 200.0)] {
+            let noise = 0.1 * ((x * 12.9898 + y + z).sin() * 43758.5453).fract();
+            let (dy, dz) = (-urad * z / 1000.0 + noise, urad * y / 1000.0 - noise);
+            run += &format!("{x},{y},{z},{dy:.4},{dz:.4}\n");
+        }
+    }
+    let options = Options { instrument_um: Some(0.1), ..STATED };
+    let roll_um = |text: &str, x: f64| {
+        let report = fit(&run, &file(text), &options);
+        let path = Path::new("m.toml");
+        let fitted = file(&report.edit.apply(text, path).expect("sections"));
+        let dz = |y| trueup_machine::model::volume_um(&fitted, [x, y, 0.0], [0.0; 3])[2];
+        (dz(300.0) - dz(0.0), report.warnings)
+    };
+    // 150 mm beyond, the line alone goes on: 13.5 µrad at 300 mm.
+    let (at_end, _) = roll_um(&with_travel, 450.0);
+    let (beyond, warnings) = roll_um(&with_travel, 600.0);
+    assert!((beyond - at_end - 4.05).abs() < 0.02, "{at_end} µm, {beyond} µm beyond");
+    assert!(!warnings.iter().any(|it| it.contains("was a line")), "{warnings:?}");
+    let (_, warnings) = roll_um(&text(""), 600.0);
+    let said = "angular.eax was a line and is a curve now: below x 150 mm and above 450 mm";
+    assert!(warnings.iter().any(|it| it.contains(said)), "{warnings:?}");
+}
+
+#[test]
 fn two_gauges_on_one_edge_claim_no_straightness_of_its_form() {
     let believed = file("[machine]\nname = \"m\"\nkind = \"3-axis\"\nchain = \"w b X Y Z t\"\n");
     let options = Options { instrument_um: Some(0.1), ..Options::default() };

@@ -103,12 +103,30 @@ impl Remote {
         store.publish(staged, &store.result(id)).map(|_| ())
     }
 
+    /// Marks a folder as the copy of this fleet, by the moment at which its queue was made.
+    fn claim_copy(&self, store: &Store) -> io::Result<()> {
+        let created = self.queue.cached_info().created.unix_timestamp_nanos();
+        let own = format!("the fleet whose queue was made at {created} ns since 1970\n");
+        let file = store.copy_of();
+        match fs::read_to_string(&file) {
+            Ok(text) if text == own => Ok(()),
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            Err(_) if store.ids()?.is_empty() => store.publish_file(&file, &own),
+            _ => {
+                let rule = "holds the jobs of another fleet: give another --out, or remove it";
+                let folder = file.parent().unwrap_or(&file).display();
+                Err(io::Error::new(io::ErrorKind::AlreadyExists, format!("{folder}: {rule}")))
+            }
+        }
+    }
+
     /// Fetches every job that has a result, with it, into a folder: `fleet diagnose` reads it there. Returns a sentence
     /// for each that cannot be had.
     ///
     /// # Errors
-    /// The server does not answer, or the folder cannot be written.
+    /// The server does not answer, the folder cannot be written, or it holds the jobs of another fleet.
     pub fn fetch_results(&self, store: &Store) -> io::Result<Vec<String>> {
+        self.claim_copy(store)?;
         let mut damaged = Vec::new();
         for id in self.keys(&self.results)? {
             // Neither a job nor its result ever changes.

@@ -15,6 +15,7 @@
 //! that of [`server`] does.
 
 mod files;
+pub mod records;
 pub mod server;
 mod status;
 mod submit;
@@ -89,8 +90,7 @@ impl Remote {
     }
 
     fn connect(access: &Access, creates: bool) -> io::Result<Self> {
-        // One thread answers the server while the others compute.
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let runtime = runtime()?;
         let url = &access.url;
         let made = runtime.block_on(async {
             let context = context(access).await?;
@@ -183,6 +183,11 @@ impl Remote {
 /// Returns whether it is an identifier of a job, which may be a name of a folder.
 fn is_id(key: &str) -> bool {
     key.len() == 16 && key.bytes().all(|it| it.is_ascii_hexdigit())
+}
+
+/// Returns a runtime whose one thread answers the server while the others compute.
+fn runtime() -> io::Result<Runtime> {
+    Builder::new_multi_thread().worker_threads(1).enable_all().build()
 }
 
 async fn context(access: &Access) -> io::Result<Context> {

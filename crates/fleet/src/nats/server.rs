@@ -5,11 +5,15 @@
 
 use std::{
     ffi::OsStr,
-    fmt, io,
+    fmt,
+    fs::{self, File},
+    io::{self, Write as _},
     net::SocketAddr,
     path::{Path, PathBuf},
-    process::Command,
+    process::{self, Command},
 };
+
+use fs4::{FileExt, TryLockError};
 
 /// The oldest server that can synchronise always.
 pub const OLDEST: (u32, u32) = (2, 10);
@@ -25,9 +29,17 @@ pub struct Config {
     pub login: Option<(String, String)>,
     /// Its certificate and private key, in PEM.
     pub certificate: Option<(PathBuf, PathBuf)>,
+    /// The address for bridges, which publish by MQTT.
+    pub mqtt: Option<SocketAddr>,
 }
 
 impl Config {
+    /// Returns the folder of its store.
+    #[must_use]
+    pub fn store(&self) -> PathBuf {
+        self.folder.join("jetstream")
+    }
+
     /// Returns the configuration as the server reads it.
     #[must_use]
     pub fn text(&self) -> String {
@@ -35,17 +47,52 @@ impl Config {
             "# Written by trueup fleet server; a change is lost at its next start.\n\
              listen: {}\nserver_name: trueup\njetstream {{\n  store_dir: {}\n  sync_interval: always\n}}\n",
             quoted(self.listen.to_string()),
-            quoted(self.folder.join("jetstream").as_os_str()),
+            quoted(self.store()),
         );
         if let Some((user, password)) = &self.login {
             let (user, password) = (quoted(user), quoted(password));
             text += &format!("authorization {{\n  user: {user}\n  password: {password}\n}}\n");
         }
-        if let Some((certificate, key)) = &self.certificate {
+        let tls = self.certificate.as_ref().map(|(certificate, key)| {
             let (certificate, key) = (quoted(certificate), quoted(key));
-            text += &format!("tls {{\n  cert_file: {certificate}\n  key_file: {key}\n}}\n");
+            format!("tls {{\n  cert_file: {certificate}\n  key_file: {key}\n}}\n")
+        });
+        let tls = tls.unwrap_or_default();
+        if let Some(address) = self.mqtt {
+            text += &format!("mqtt {{\n  listen: {}\n{tls}}}\n", quoted(address.to_string()));
         }
-        text
+        text + &tls
+    }
+}
+
+/// Takes a folder for one server, as long as the file is open in any process. A server that inherits it keeps the folder
+/// even if the process that started it is killed: two servers would damage one store. The file has the number of this process, which the
+/// server takes over.
+///
+/// # Errors
+/// Another server has the folder, or it cannot be written.
+pub fn lock(folder: &Path) -> io::Result<File> {
+    let failed =
+        |kind, why: &dyn fmt::Display| io::Error::new(kind, format!("{}: {why}", folder.display()));
+    fs::create_dir_all(folder).map_err(|error| failed(error.kind(), &error))?;
+    let path = folder.join("lock");
+    let opened = File::options().write(true).create(true).truncate(false).open(&path);
+    let mut file = opened.map_err(|error| failed(error.kind(), &error))?;
+    match FileExt::try_lock(&file) {
+        Ok(()) => {
+            let written = file.set_len(0).and_then(|()| write!(file, "{}", process::id()));
+            written.map_err(|error| failed(error.kind(), &error))?;
+            Ok(file)
+        }
+        Err(TryLockError::Error(error)) => Err(failed(error.kind(), &error)),
+        Err(TryLockError::WouldBlock) => {
+            let owner = fs::read_to_string(&path).map(|it| format!(" (process {it})"));
+            let owner = owner.unwrap_or_default();
+            let rule = format!(
+                "a nats-server has this folder{owner}; end it first, or give --dir another folder"
+            );
+            Err(failed(io::ErrorKind::ResourceBusy, &rule))
+        }
     }
 }
 
@@ -104,16 +151,35 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_has_one_server() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let first = lock(folder.path()).expect("it is free");
+        // A server that was started with the file has it too.
+        let server = first.try_clone().expect("a file");
+        drop(first);
+        let error = lock(folder.path()).expect_err("it is taken");
+        let phrase = format!("a nats-server has this folder (process {})", process::id());
+        assert!(error.to_string().contains(&phrase), "{error}");
+        drop(server);
+        lock(folder.path()).expect("it is free again");
+    }
+
+    #[test]
     fn a_word_of_the_user_is_one_word_of_the_configuration() {
         let config = Config {
             listen: "127.0.0.1:4222".parse().expect("an address"),
             folder: "a \"b\"".into(),
             login: Some(("u".into(), "p\\\"\n}".into())),
-            certificate: None,
+            certificate: Some(("c.pem".into(), "k.pem".into())),
+            mqtt: Some("127.0.0.1:1883".parse().expect("an address")),
         };
         let text = config.text();
         assert!(text.contains("sync_interval: always"), "{text}");
         assert!(text.contains(r#"store_dir: "a \"b\"/jetstream""#), "{text}");
         assert!(text.contains(r#"password: "p\\\"\n}""#), "{text}");
+        // Both listeners have the certificate.
+        let (_, mqtt) =
+            text.split_once("mqtt {\n  listen: \"127.0.0.1:1883\"\n").expect("a listener");
+        assert_eq!(mqtt.matches("cert_file: \"c.pem\"").count(), 2, "{text}");
     }
 }

@@ -1,6 +1,6 @@
 //! A job that is put on the server.
 
-use std::{io, time::Duration};
+use std::io;
 
 use super::{Remote, SUBJECT};
 use crate::{
@@ -61,10 +61,5 @@ impl Remote {
     pub(super) fn open_jobs(&self) -> io::Result<u64> {
         let info = self.wait("the queue", self.queue.get_info())?;
         Ok(info.state.messages)
-    }
-
-    /// Waits before something is tried again.
-    pub(super) fn pause(&self, time: Duration) {
-        self.runtime.block_on(tokio::time::sleep(time));
     }
 }

@@ -4,6 +4,7 @@ use std::{
     fs, io,
     sync::{
         Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
         mpsc::{RecvTimeoutError, channel},
     },
     thread,
@@ -29,22 +30,53 @@ const ASKED: Duration = Duration::from_secs(1);
 /// How long a server may be away before workers that are to end give up.
 const AWAY: Duration = Duration::from_secs(60);
 
+/// Reports something to people.
+pub type Report<'r> = dyn Fn(&str) + Sync + 'r;
+
 impl Remote {
-    /// Works until every job has ended, or for ever. A server that goes away is waited for.
+    /// Works until every job has ended, or for ever. A server that goes away is reported and waited for.
     ///
     /// # Errors
     /// The diagnosis says that this worker cannot go on; or the server is away for a minute and the workers are to end.
-    pub fn work(&self, options: Options, diagnose: &Diagnose<'_>) -> io::Result<Tally> {
+    pub fn work(
+        &self,
+        options: Options,
+        diagnose: &Diagnose<'_>,
+        report: &Report<'_>,
+    ) -> io::Result<Tally> {
+        let consumer = self.consumer(options.lease, report)?;
+        let is_away = AtomicBool::new(false);
+        let tally = Mutex::default();
+        let team = Team { remote: self, consumer, options, diagnose, report, is_away, tally };
+        worker::run_threads(options.threads, |_| team.run())?;
+        Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Returns the consumer of the queue. Its lease is one for all workers: it is set while none of them has a job, else
+    /// the one that is there stays.
+    fn consumer(&self, lease: Duration, report: &Report<'_>) -> io::Result<PullConsumer> {
         let config = pull::Config {
             durable_name: Some(CONSUMER.into()),
             ack_policy: AckPolicy::Explicit,
-            ack_wait: options.lease,
+            ack_wait: lease,
             ..Default::default()
         };
-        let consumer = self.wait("the queue", self.queue.create_consumer(config))?;
-        let team = Team { remote: self, consumer, options, diagnose, tally: Mutex::default() };
-        worker::run_threads(options.threads, |_| team.run())?;
-        Ok(team.tally.into_inner().unwrap_or_else(PoisonError::into_inner))
+        let there = self.queue.get_or_create_consumer(CONSUMER, config.clone());
+        let there = self.wait("the queue", there)?;
+        let info = there.cached_info();
+        let (set, is_used) = (info.config.ack_wait, info.num_ack_pending > 0);
+        if set == lease {
+            return Ok(there);
+        }
+        if is_used {
+            report(&format!(
+                "the lease stays {} s, by which other workers have jobs; another --lease-s is taken \
+                 while no job is being done",
+                set.as_secs_f64()
+            ));
+            return Ok(there);
+        }
+        self.wait("the queue", self.queue.create_consumer(config))
     }
 }
 
@@ -54,6 +86,9 @@ struct Team<'t> {
     consumer: PullConsumer,
     options: Options,
     diagnose: &'t Diagnose<'t>,
+    report: &'t Report<'t>,
+    /// It was reported that the server does not answer.
+    is_away: AtomicBool,
     tally: Mutex<Tally>,
 }
 
@@ -78,14 +113,24 @@ impl Team<'_> {
                 Err(error) => Err(Broken::Server(error)),
             };
             match broken {
-                Ok(()) => answered = Instant::now(),
+                Ok(()) => {
+                    answered = Instant::now();
+                    if self.is_away.swap(false, Ordering::Relaxed) {
+                        (self.report)("the server answers again");
+                    }
+                }
                 Err(Broken::Worker(error)) => return Err(error),
                 Err(Broken::Server(error))
                     if self.options.until_empty && answered.elapsed() > AWAY =>
                 {
                     return Err(error);
                 }
-                Err(Broken::Server(_)) => self.remote.pause(ASKED),
+                Err(Broken::Server(error)) => {
+                    if !self.is_away.swap(true, Ordering::Relaxed) {
+                        (self.report)(&format!("{error}; it is tried again until it answers"));
+                    }
+                    thread::sleep(ASKED);
+                }
             }
         }
     }
@@ -113,12 +158,14 @@ impl Team<'_> {
         if has(&remote.failed)? {
             return self.acknowledge_failed(message, id);
         }
+        // Another worker may have set it since. If it does so at this very moment, a job may be done twice, with one result.
+        let info = remote.wait("the queue", self.consumer.get_info()).map_err(Broken::Server)?;
+        let renewed = info.config.ack_wait / BEATS;
         let (ended, end) = channel::<()>();
         thread::scope(|scope| {
             scope.spawn(move || {
                 self.report_progress(message, id);
-                while end.recv_timeout(self.options.lease / BEATS) == Err(RecvTimeoutError::Timeout)
-                {
+                while end.recv_timeout(renewed) == Err(RecvTimeoutError::Timeout) {
                     self.report_progress(message, id);
                 }
             });
@@ -191,9 +238,13 @@ impl Team<'_> {
     }
 }
 
-/// Returns a name that no other attempt at any job has.
+/// Returns a name that no other attempt at any job has. A server that was killed counts deliveries anew: by their number
+/// alone two workers had one name, and the second removed the files of the first as its own.
 fn attempt_of(message: &Message) -> String {
-    message
-        .info()
-        .map_or_else(|_| "0".into(), |info| format!("{}-{}", info.stream_sequence, info.delivered))
+    let unique = message.context.client().new_inbox();
+    let unique = unique.rsplit('.').next().unwrap_or(&unique);
+    match message.info() {
+        Ok(info) => format!("{}-{}-{unique}", info.stream_sequence, info.delivered),
+        Err(_) => unique.into(),
+    }
 }

@@ -76,12 +76,17 @@ impl fmt::Display for Error {
             Self::Io(error) => write!(f, "the PLC cannot be reached: {error}"),
             Self::Answer(what) => write!(f, "what answers is no S7: {what}"),
             Self::Refused(class, code) => {
-                let look = match (class, code) {
-                    (0x81, 0x04) => {
+                let look = match class {
+                    0x81 => {
                         "; permit access with PUT/GET (S7-1200, S7-1500: CPU properties, Protection) and switch off \
                          \"Optimized block access\" of the data block"
                     }
-                    _ => "",
+                    // Servers on PCs say 0x84, 0x04 where a CPU has codes of an item.
+                    _ => {
+                        "; look at the number of the data block (--db), its length (trueup_db.awl of \
+                         integrations/siemens-840d), its attribute \"Optimized block access\", and at PUT/GET (CPU \
+                         properties, Protection)"
+                    }
                 };
                 write!(f, "the PLC refuses: error class 0x{class:02X}, code 0x{code:02X}{look}")
             }

@@ -43,6 +43,11 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
         "number of the ball, or of the point of a straight edge, of `fit volume`: the same in all set-ups",
     ),
     known(
+        "square",
+        "",
+        "number of the square whose faces were touched, of `fit volume`: both faces have one alignment",
+    ),
+    known(
         "tool_length_mm",
         "mm",
         "the tool or stylus in the spindle, in the place of `[tool] length_mm`; `fit volume`",

@@ -1,6 +1,6 @@
 //! How a control says a step, and what all of them have in common.
 
-use crate::plan::Plan;
+use crate::{plan::Plan, probe::Mean};
 
 /// X, Y and Z as controls call them.
 pub(super) const AXES: [char; 3] = ['X', 'Y', 'Z'];
@@ -9,14 +9,23 @@ pub(super) const AXES: [char; 3] = ['X', 'Y', 'Z'];
 pub(super) trait Dialect {
     /// Writes everything up to the first stop: nothing that moves, and the spindle off.
     fn head(&mut self, plan: &Plan);
-    /// Sets the modes that the program relies on; after the first stop, as cancelling one may move an axis.
-    fn modes(&mut self, is_lathe: bool);
+    /// Sets the modes that the program relies on, and ends it where one cannot be set; after the first stop, as cancelling
+    /// one may move an axis.
+    fn modes(&mut self, plan: &Plan);
     /// A line for the reader.
     fn note(&mut self, text: &str);
     /// The control shows these sentences and waits for the operator.
     fn stop(&mut self, text: &[String]);
     /// At a feed in mm/min.
     fn line(&mut self, to: &Ends, feed: f64);
+    /// Around a centre, block by block without a stop. A control that cannot is refused before.
+    fn around(&mut self, _: &Around) {}
+    /// A probe goes to a place, in µm, at a feed; contact ends the program.
+    fn guarded(&mut self, _axis: usize, _to: i64, _feed: f64) {}
+    /// A probe touches, and goes back at this feed.
+    fn touch(&mut self, _: &Touching, _back: f64) {}
+    /// Writes a row of the run file.
+    fn found(&mut self, _: &[Cell]) {}
     /// Turns the spindle, or stops it.
     fn spindle(&mut self, rpm: f64);
     /// Stands for this many seconds; a reading is taken at the end.
@@ -34,6 +43,61 @@ pub(super) struct Ends {
     /// By axis: where it stands, if that is known, and where it is sent.
     pub(super) axes: Vec<(usize, Option<i64>, i64)>,
 }
+
+/// Blocks of arcs in one plane, by ways from where the axes stand: no work offset has a part in them.
+pub(super) struct Around {
+    /// The axes of the plane.
+    pub(super) axes: [usize; 2],
+    /// For each block: counter-clockwise or not, the way to its end and the way to its centre, in µm.
+    pub(super) blocks: Vec<(bool, [i64; 2], [i64; 2])>,
+    pub(super) feed: f64,
+}
+
+impl Around {
+    /// Returns `G17`, `G18` or `G19`.
+    pub(super) fn plane(&self) -> &'static str {
+        ["G19", "G18", "G17"][3 - self.axes[0] - self.axes[1]]
+    }
+
+    /// Returns the words of each block: letters and ways in µm, end before centre, as `ends` and `centres` write them.
+    pub(super) fn words(
+        &self,
+        ends: impl Fn(char, i64) -> String,
+        centres: impl Fn(char, i64) -> String,
+    ) -> Vec<(bool, String)> {
+        let words = |(is_ccw, end, centre): &(bool, [i64; 2], [i64; 2])| {
+            let mut words = String::new();
+            for (axis, um) in self.axes.into_iter().zip(end) {
+                words += &format!(" {}", ends(AXES[axis], *um));
+            }
+            for (axis, um) in self.axes.into_iter().zip(centre) {
+                words += &format!(" {}", centres(CENTRES[axis], *um));
+            }
+            (*is_ccw, words)
+        };
+        self.blocks.iter().map(words).collect()
+    }
+}
+
+/// A touch from a place that is known, in µm.
+pub(super) struct Touching {
+    pub(super) axis: usize,
+    pub(super) from: i64,
+    pub(super) to: i64,
+    pub(super) feed: f64,
+    pub(super) number: usize,
+}
+
+/// A cell of a row that the control writes.
+pub(super) enum Cell {
+    /// As it stands.
+    Text(String),
+    /// The expected mean of touches minus the mean that was found, in µm.
+    Found(Mean),
+}
+
+/// The letters of a centre, of X, Y and Z.
+const CENTRES: [char; 3] = ['I', 'J', 'K'];
 
 /// `12.5`, `-50`: as few digits as say it.
 pub(super) fn number(um: i64) -> String {

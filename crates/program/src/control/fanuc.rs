@@ -6,7 +6,7 @@
 //! The variables are read while that axis stands, so reading ahead does no harm. Increments would be turned or
 //! scaled by a mode that an earlier program left: such a mode is an alarm before anything moves.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
+use super::dialect::{AXES, Around, Dialect, Ends, number, plain, wrapped};
 use crate::plan::Plan;
 
 /// The number of the main program; subprograms follow. From 8000 on programs are often locked.
@@ -92,7 +92,7 @@ impl Dialect for Text {
         self.push("M05".into());
     }
 
-    fn modes(&mut self, _is_lathe: bool) {
+    fn modes(&mut self, _: &Plan) {
         let alarms = if self.moves { &ALARMS[..] } else { &[] };
         for (n, (test, what)) in alarms.iter().enumerate() {
             self.push(format!("IF [{test}] THEN #3000={}({what})", n + 1));
@@ -121,6 +121,18 @@ impl Dialect for Text {
         };
         let words: Vec<String> = to.axes.iter().map(word).collect();
         self.increments(&words.join(" "), feed);
+    }
+
+    fn around(&mut self, around: &Around) {
+        self.push(format!("{} G64", around.plane()));
+        let word = |letter, um| format!("{letter}{}", decimal(um));
+        for (is_ccw, words) in around.words(word, word) {
+            let turn = if is_ccw { "G03" } else { "G02" };
+            self.push(format!("G91 {turn}{words} F{}", around.feed));
+        }
+        self.push("G17".into());
+        // G01 does not hold any more.
+        self.forget();
     }
 
     fn spindle(&mut self, rpm: f64) {

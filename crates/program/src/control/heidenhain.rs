@@ -31,7 +31,7 @@ impl Dialect for Text {
     }
 
     // A program in MM and blocks with M91 and R0 rely on no mode.
-    fn modes(&mut self, _is_lathe: bool) {}
+    fn modes(&mut self, _: &Plan) {}
 
     fn note(&mut self, text: &str) {
         for line in wrapped(&plain(text), WIDTH) {

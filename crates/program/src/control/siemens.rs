@@ -1,12 +1,16 @@
 //! Siemens SINUMERIK 840D sl and 828D.
 
-use super::dialect::{AXES, Dialect, Ends, number, plain, wrapped};
-use crate::plan::Plan;
+use super::dialect::{AXES, Around, Dialect, Ends, number, plain, wrapped};
+use crate::plan::{Plan, Step};
 
 /// A comment's width: the screen of the editor.
 const WIDTH: usize = 100;
 /// The longest text of `MSG`: a control shows 124 characters.
 const MESSAGE: usize = 120;
+
+/// Parts of a frame that would turn or scale a way, with the value that does not, and their names.
+const FRAMES: [(&str, &str, &str); 3] =
+    [("RT", "0", "rotation"), ("SC", "1", "scale"), ("MI", "0", "mirror")];
 
 #[derive(Default)]
 pub(super) struct Text {
@@ -32,10 +36,20 @@ impl Dialect for Text {
         self.push("M5".into());
     }
 
-    fn modes(&mut self, is_lathe: bool) {
+    fn modes(&mut self, plan: &Plan) {
         self.push("TRAFOOF".into());
-        let plane = if is_lathe { "DIAMON G18" } else { "G17" };
+        let plane = if plan.is_lathe { "DIAMON G18" } else { "G17" };
         self.push(format!("{plane} G710 G40 G90 G94 G97 G60 G500 D0"));
+        if plan.steps.iter().any(|step| matches!(step, Step::Arc(_))) {
+            for (part, right, what) in FRAMES {
+                let tests = AXES.map(|axis| format!("($P_ACTFRAME[{axis},{part}]<>{right})"));
+                self.push(format!("IF {}", tests.join(" OR ")));
+                self.push(format!("  MSG(\"Not run: cancel the {what} of the frames first.\")"));
+                self.push("  M0".into());
+                self.push("  M30".into());
+                self.push("ENDIF".into());
+            }
+        }
     }
 
     fn note(&mut self, text: &str) {
@@ -67,6 +81,16 @@ impl Dialect for Text {
 
     fn line(&mut self, to: &Ends, feed: f64) {
         self.push(format!("SUPA G1{} F{feed}", words(to)));
+    }
+
+    fn around(&mut self, around: &Around) {
+        self.push(format!("{} G64", around.plane()));
+        let end = |letter, um| format!("{letter}=IC({})", number(um));
+        let centre = |letter, um| format!("{letter}{}", number(um));
+        for (is_ccw, words) in around.words(end, centre) {
+            self.push(format!("{}{words} F{}", if is_ccw { "G3" } else { "G2" }, around.feed));
+        }
+        self.push("G17 G60".into());
     }
 
     fn spindle(&mut self, rpm: f64) {

@@ -2,9 +2,15 @@
 
 pub(crate) mod axis_heat;
 pub(crate) mod backlash;
+mod ball;
+pub(crate) mod circle;
 pub(crate) mod diagonal;
 pub(crate) mod pitch;
+pub(crate) mod plate;
+mod probing;
 pub(crate) mod speeds;
+pub(crate) mod sphere;
+pub(crate) mod square;
 pub(crate) mod step_diagonal;
 pub(crate) mod straightness;
 pub(crate) mod targets;
@@ -108,3 +114,5 @@ const NON_CONTACT: &str =
 /// That all corrections of the control must be off.
 const WITHOUT_CORRECTION: &str =
     "Switch the control's own compensation off first: what is measured is the bare machine.";
+/// That `fit volume` needs the chain.
+const NO_CHAIN: &str = "machine.chain is missing: trueup fit volume needs it, for example chain = \"w X' b Y Z t\"; measuring does not";

@@ -56,10 +56,7 @@ pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refus
     }
     notes.extend(without_clearance(options));
     if machine.volume.chain.is_none() {
-        notes.push(
-            "machine.chain is missing: trueup fit volume needs it, for example chain = \"w X' b Y Z t\"; measuring does not"
-                .into(),
-        );
+        notes.push(super::NO_CHAIN.into());
     }
     Ok((plans, notes))
 }

@@ -9,6 +9,17 @@ pub enum To {
     By(f64),
 }
 
+/// What a contact does to a move of a probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sort {
+    /// It ends the program.
+    Guarded,
+    /// It is looked for, and ends the move.
+    Touch,
+    /// It is left.
+    Away,
+}
+
 /// An event; repeats are written out.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Event {
@@ -19,6 +30,29 @@ pub enum Event {
         to: [Option<To>; 3],
         feed: Option<f64>,
         /// True if the move depends on no mode of an earlier program.
+        has_modes: bool,
+    },
+    /// A probe goes to a place, or touches what is on the way to it.
+    Probe {
+        axis: usize,
+        mm: f64,
+        feed: f64,
+        sort: Sort,
+        /// True if neither a mode nor a rotation of an earlier program has a part in it.
+        has_modes: bool,
+    },
+    /// A row of the run file, by its columns.
+    Row(Vec<(String, String)>),
+    /// Two axes go around a centre.
+    Around {
+        /// The axes of the plane, in the order in which G3 turns the first to the second.
+        axes: [usize; 2],
+        is_ccw: bool,
+        /// The way to the end and the way to the centre in mm.
+        end: [f64; 2],
+        centre: [f64; 2],
+        feed: Option<f64>,
+        /// True if neither a mode nor a rotation of an earlier program has a part in it.
         has_modes: bool,
     },
     /// In r/min.
@@ -47,6 +81,29 @@ pub fn words(block: &str) -> Result<Vec<(char, f64)>, String> {
 /// X, Y, Z: 0, 1, 2.
 pub fn axis(letter: char) -> Option<usize> {
     "XYZ".find(letter)
+}
+
+/// Returns the axes of a plane in the order in which G3 turns the first to the second.
+pub fn plane(code: f64) -> Option<[usize; 2]> {
+    match code {
+        17.0 => Some([0, 1]),
+        18.0 => Some([2, 0]),
+        19.0 => Some([1, 2]),
+        _ => None,
+    }
+}
+
+/// Returns the numbers of the words with the letters of two axes; none other may be there.
+pub fn of_axes(found: &[(char, f64)], letters: &str, axes: [usize; 2]) -> Result<[f64; 2], String> {
+    let own: Vec<(usize, f64)> = found
+        .iter()
+        .filter_map(|(letter, number)| Some((letters.find(*letter)?, *number)))
+        .collect();
+    let of = |axis: usize| own.iter().find(|it| it.0 == axis).map(|it| it.1);
+    match (own.len(), of(axes[0]), of(axes[1])) {
+        (2, Some(u), Some(v)) => Ok([u, v]),
+        _ => Err(format!("not the axes of the plane: {found:?}")),
+    }
 }
 
 /// No line of a comment or message is longer, and none has a character that a control does not take.

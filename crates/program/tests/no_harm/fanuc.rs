@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use crate::event::{Event, To, axis, is_legal, words};
+use crate::event::{Event, To, axis, is_legal, of_axes, plane, words};
 
 #[derive(Default)]
 struct State {
@@ -15,6 +15,7 @@ struct State {
     distance: Option<f64>,
     motion: Option<f64>,
     feed: Option<f64>,
+    plane: Option<[usize; 2]>,
 }
 
 /// Variables that must raise an alarm: that of each mode that turns or scales an increment.
@@ -63,7 +64,32 @@ fn run(number: u32, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
     Ok(())
 }
 
+/// Returns whether no mode of an earlier program has a part in an increment.
+fn has_modes(state: &State) -> bool {
+    let has_alarms = ALARMS.iter().all(|it| state.alarms.iter().any(|test| test.contains(it)));
+    has_alarms && [21.0, 40.0, 94.0].iter().all(|mode| state.modes.contains(mode))
+}
+
+/// Reads a block of an arc, all of whose words are ways.
+fn around(block: &str, state: &mut State) -> Result<(), String> {
+    let found = words(block)?;
+    let [('G', 91.0), ('G', turn), ..] = found[..] else { return Err("no increments".into()) };
+    if block.split(' ').any(|word| "XYZIJK".contains(&word[..1]) && !word.contains('.')) {
+        return Err("micrometres without a point".into());
+    }
+    let axes = state.plane.ok_or("no plane")?;
+    let (end, centre) = (of_axes(&found, "XYZ", axes)?, of_axes(&found, "IJK", axes)?);
+    let feed = found.iter().find(|it| it.0 == 'F').map(|it| it.1);
+    (state.distance, state.motion, state.feed) = (Some(91.0), Some(turn), feed);
+    let has_modes = has_modes(state);
+    state.events.push(Event::Around { axes, is_ccw: turn == 3.0, end, centre, feed, has_modes });
+    Ok(())
+}
+
 fn one(block: &str, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Result<(), String> {
+    if block.split(' ').any(|word| word == "G02" || word == "G03") {
+        return around(block, state);
+    }
     let (mut to, mut is_machine) = ([None; 3], false);
     let (mut event, mut called, mut turns, mut speed, mut is_dwell) = (None, None, 1, None, false);
     for word in block.split(' ') {
@@ -83,7 +109,8 @@ fn one(block: &str, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
             ('G', 0.0 | 1.0) => state.motion = Some(number),
             ('G', 53.0) => is_machine = true,
             ('G', 4.0) => is_dwell = true,
-            ('G', 17.0 | 21.0 | 40.0 | 80.0 | 94.0) => state.modes.push(number),
+            ('G', 17.0..=19.0) => state.plane = plane(number),
+            ('G', 21.0 | 40.0 | 64.0 | 80.0 | 94.0) => state.modes.push(number),
             ('X', _) if is_dwell => event = Some(Event::Dwell(number)),
             ('F', _) => state.feed = Some(number),
             ('S', _) => speed = Some(number),
@@ -115,14 +142,12 @@ fn one(block: &str, programs: &HashMap<u32, Vec<&str>>, state: &mut State) -> Re
         *rpm = speed;
     }
     if to != [None; 3] {
-        let has_alarms = ALARMS.iter().all(|it| state.alarms.iter().any(|test| test.contains(it)));
-        let is_set = [21.0, 94.0].iter().all(|mode| state.modes.contains(mode));
         let feed = match (state.motion.ok_or("the mode of an earlier program")?, is_machine) {
             (1.0, false) => state.feed,
             // G53 moves at rapid, whatever holds.
             _ => None,
         };
-        event = Some(Event::Go { to, feed, has_modes: has_alarms && is_set });
+        event = Some(Event::Go { to, feed, has_modes: has_modes(state) });
     }
     state.events.extend(event);
     if let Some(called) = called {

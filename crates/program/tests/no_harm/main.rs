@@ -19,11 +19,11 @@ use draw::{Draw, Draws};
 use event::Event;
 use trueup_machine::file::LinearAxis;
 use trueup_program::{
-    Control, Kind, Plan, Stretch, Targets, control::program, plans, speeds, targets,
+    Control, Kind, Plan, Stretch, Targets, control::program, plan::Step, plans, speeds, targets,
 };
 use walk::{Limits, walk};
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind::Backlash,
     Kind::Pitch,
     Kind::Straightness,
@@ -31,6 +31,7 @@ const KINDS: [Kind; 7] = [
     Kind::AxisHeat,
     Kind::Diagonal,
     Kind::StepDiagonal,
+    Kind::Circle,
 ];
 /// How many machines, each with a range and options of its own.
 const DRAWS: u64 = 240;
@@ -48,7 +49,18 @@ fn read(control: Control, text: &str) -> Result<Vec<Event>, String> {
 /// Walks the programs of a plan for all controls.
 fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
     for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens, Control::Heidenhain] {
-        let (name, text) = program(plan, control);
+        let has = |is: fn(&Step) -> bool| plan.steps.iter().any(is);
+        let has_no_words = match control {
+            Control::LinuxCnc => false,
+            Control::Heidenhain => has(|step| matches!(step, Step::Arc(_) | Step::Touch(_))),
+            _ => has(|step| matches!(step, Step::Touch(_))),
+        };
+        if has_no_words {
+            let why = program(plan, control).expect_err("it has no words for it").0;
+            assert!(why.contains("fill in its run file"), "{why}");
+            continue;
+        }
+        let (name, text) = program(plan, control).expect("it is written");
         let limits = Limits::of(draw, axes);
         let walked = read(control, &text).and_then(|events| walk(&events, &limits, plan));
         if let Err(danger) = walked {
@@ -61,7 +73,7 @@ fn check(plan: &Plan, axes: &[LinearAxis], draw: &Draw) {
 /// Returns the axes that a plan's name names.
 fn named(plan: &Plan) -> Vec<LinearAxis> {
     let last = plan.name.rsplit('-').next().unwrap_or_default();
-    let is_axes = ["x", "y", "z", "xy", "xz", "yz", "xyz"].contains(&last);
+    let is_axes = ["x", "y", "z", "xy", "xz", "zx", "yz", "xyz"].contains(&last);
     let all = LinearAxis::ALL.into_iter();
     all.filter(|axis| is_axes && last.contains(axis.name())).collect()
 }
@@ -71,6 +83,10 @@ fn no_program_of_any_control_and_kind_is_a_danger() {
     let mut written = 0;
     for draw in Draws::new(DRAWS) {
         for kind in KINDS {
+            // A circle is looked at degree by degree.
+            if kind == Kind::Circle && draw.number % 3 != 0 {
+                continue;
+            }
             let mut options = draw.options.clone();
             options.spindle_rpm = Some(12_000.0);
             if kind == Kind::AxisHeat {
@@ -96,6 +112,45 @@ fn no_program_of_any_control_and_kind_is_a_danger() {
         }
     }
     assert!(written > 4 * DRAWS, "{written}");
+}
+
+#[test]
+fn no_program_of_a_probe_is_a_danger() {
+    let mut written = 0;
+    for draw in Draws::new(3 * DRAWS) {
+        let ends = LinearAxis::ALL.map(|axis| draw.allowed_mm(axis));
+        let middle = ends.map(|[low, high]| (low + high) / 2.0);
+        let has_places = middle.iter().all(|mm| mm.is_finite());
+        let options = trueup_program::Options {
+            at_mm: if has_places { middle.map(Some) } else { [Some(0.0); 3] },
+            feeds_mm_per_min: Vec::new(),
+            ball_mm: Some(12.0),
+            stylus_mm: Some(4.0),
+            search_mm: Some(2.0),
+            step_mm: Some(30.0),
+            balls: Some([2, 3]),
+            size_mm: Some(80.0),
+            tool_lengths_mm: if draw.number % 2 == 0 { vec![50.0, 70.0] } else { Vec::new() },
+            ..draw.options.clone()
+        };
+        for kind in [Kind::Square, Kind::Sphere, Kind::Plate] {
+            match plans(kind, &draw.machine, &options) {
+                Ok((plans, _)) => {
+                    check(&plans[0], &LinearAxis::ALL, &draw);
+                    written += 1;
+                }
+                Err(why) => {
+                    let reasons =
+                        ["would go to", "may move or is asked for", "along none", "--range"];
+                    assert!(
+                        reasons.iter().any(|it| why.0.contains(it)),
+                        "{kind:?} {draw:?}: {why}"
+                    );
+                }
+            }
+        }
+    }
+    assert!(written > DRAWS / 4, "{written}");
 }
 
 #[test]
@@ -138,7 +193,7 @@ fn the_walk_sees_each_danger() {
     let options = trueup_program::Options { repeats: Some(1), ..draw.options.clone() };
     let plan = &plans(Kind::Pitch, &draw.machine, &options).expect("it fits").0[0];
     let limits = Limits::of(&draw, &[LinearAxis::X]);
-    let right = |control| program(plan, control).1;
+    let right = |control| program(plan, control).expect("it is written").1;
     for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens, Control::Heidenhain] {
         let events = read(control, &right(control)).expect("it is read");
         walk(&events, &limits, plan).expect("it is no danger");
@@ -165,5 +220,81 @@ fn the_walk_sees_each_danger() {
         let wrong = text.replacen(from, to, 1);
         let walked = read(control, &wrong).and_then(|events| walk(&events, &limits, plan));
         assert!(walked.is_err(), "{control:?}: {from} became {to:?} and nothing was seen");
+    }
+}
+
+/// A danger of a circle is seen as well.
+#[test]
+fn the_walk_sees_each_danger_of_a_circle() {
+    let mut draw = Draw::plain();
+    draw.options.range_mm = [None, Some([0.0, 800.0]), None];
+    let plan = &plans(Kind::Circle, &draw.machine, &draw.options).expect("it fits").0[0];
+    let limits = Limits::of(&draw, &[LinearAxis::X, LinearAxis::Y]);
+    let right = |control| program(plan, control).expect("it is written").1;
+    for control in [Control::LinuxCnc, Control::Fanuc, Control::Siemens] {
+        let events = read(control, &right(control)).expect("it is read");
+        walk(&events, &limits, plan).expect("it is no danger");
+    }
+    let dangers: [(Control, &str, &str); 13] = [
+        (Control::LinuxCnc, "G3 X0 Y0 I-300 J0", "G3 X0 Y0 I300 J0"),
+        (Control::LinuxCnc, "G3 X0 Y0 I-300 J0", "G3 X0 Y0 I-150 J0"),
+        (Control::LinuxCnc, "G3 X0 Y0", "G3 X10 Y0"),
+        (Control::LinuxCnc, "G17 G91 G91.1 G64", "G18 G91 G91.1 G64"),
+        (Control::LinuxCnc, "G17 G91 G91.1 G64", "G17 G91.1 G64"),
+        (Control::LinuxCnc, "G17 G91 G91.1 G64", "G17 G91 G64"),
+        (Control::LinuxCnc, "20 * #5220", "20 * 1"),
+        (Control::Siemens, "X=IC(0)", "X=AC(0)"),
+        (Control::Siemens, "[Y,RT]", "[Z,RT]"),
+        (Control::Siemens, "G17 G64", "G19 G64"),
+        (Control::Fanuc, "G91 G03 X0. Y0. I-300.", "G91 G03 X0. Y0. I300."),
+        (Control::Fanuc, "G91 G03 X0.", "G90 G03 X0."),
+        (Control::Fanuc, "I-300. J0.", "I-300 J0."),
+    ];
+    for (control, from, to) in dangers {
+        let text = right(control);
+        assert!(text.contains(from), "{from}: {text}");
+        let wrong = text.replacen(from, to, 1);
+        let walked = read(control, &wrong).and_then(|events| walk(&events, &limits, plan));
+        assert!(walked.is_err(), "{control:?}: {from} became {to:?} and nothing was seen");
+    }
+}
+
+/// A danger of a probe is seen as well.
+#[test]
+fn the_walk_sees_each_danger_of_a_probe() {
+    let mut draw = Draw::plain();
+    draw.options.range_mm = [None, Some([0.0, 800.0]), Some([-300.0, 0.0])];
+    let options = trueup_program::Options {
+        at_mm: [Some(400.0), Some(300.0), Some(-200.0)],
+        ball_mm: Some(20.0),
+        stylus_mm: Some(5.0),
+        repeats: Some(1),
+        ..draw.options.clone()
+    };
+    let plan = &plans(Kind::Sphere, &draw.machine, &options).expect("it fits").0[0];
+    let limits = Limits::of(&draw, &LinearAxis::ALL);
+    let right = program(plan, Control::LinuxCnc).expect("it is written").1;
+    let walked =
+        |text: &str| read(Control::LinuxCnc, text).and_then(|events| walk(&events, &limits, plan));
+    walked(&right).expect("it is no danger");
+    for (from, to) in [
+        ("G38.3 X[400-#<shift_x>] F500", "G53 G1 X400 F500"),
+        ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[400] F500"),
+        ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[400-#<shift_y>] F500"),
+        ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[900-#<shift_x>] F500"),
+        ("G38.3 X[400-#<shift_x>] F500", "G38.3 X[400-#<shift_x>] F900"),
+        ("G38.2 Z[-190.5-#<shift_z>] F60", "G38.2 Z[-190.5-#<shift_z>] F600"),
+        ("G38.5 Z[-184.5-#<shift_z>] F60", "G38.5 Z[-200-#<shift_z>] F60"),
+        ("G53 G1 Z-184.5 F500", "G53 G1 Z-190 F500"),
+        ("if [#5070 AND #<_task>]", "if [#<_task>]"),
+        ("20 * #5220", "20 * 1"),
+        ("M66 E0 L0\n", ""),
+        ("#<shift_z> = [#<_abs_z> - #<_z>]", "#<shift_z> = [#<_abs_z> - #<_x>]"),
+        (" G49 ", " "),
+        ("(LOG,1,1,400,300,-200,", "(LOG,1,1,400,300,-210,"),
+    ] {
+        assert!(right.contains(from), "{from}: {right}");
+        let wrong = right.replacen(from, to, 1);
+        assert!(walked(&wrong).is_err(), "{from} became {to:?} and nothing was seen");
     }
 }

@@ -1,8 +1,54 @@
 //! Reads what a SINUMERIK would run, as far as these programs go.
 
-use crate::event::{Event, To, axis, is_legal, words};
+use crate::event::{Event, To, axis, is_legal, of_axes, plane, words};
+
+/// Parts of a frame that turn or scale a way, with the value that does not.
+const PARTS: [(&str, &str); 3] = [("RT", "0"), ("SC", "1"), ("MI", "0")];
+
+/// Returns the parts whose test ends the program, and the text without the tests.
+fn without_tests(text: &str) -> Result<(Vec<&str>, String), String> {
+    let (mut tested, mut rest) = (Vec::new(), String::new());
+    let mut lines = text.lines();
+    while let Some(line) = lines.next() {
+        let Some(test) = line.strip_prefix("IF ") else {
+            rest += &format!("{line}\n");
+            continue;
+        };
+        let found = PARTS.iter().find(|(part, right)| {
+            let each = ["X", "Y", "Z"].map(|axis| format!("($P_ACTFRAME[{axis},{part}]<>{right})"));
+            test == each.join(" OR ")
+        });
+        tested.push(found.ok_or(format!("no reader knows {line}"))?.0);
+        let message = lines.next().unwrap_or_default().trim();
+        if !message.starts_with("MSG(\"Not run: ") {
+            return Err(format!("no reason behind {line}"));
+        }
+        for known in ["M0", "M30", "ENDIF"] {
+            if lines.next().map(str::trim) != Some(known) {
+                return Err(format!("no {known} behind {line}"));
+            }
+        }
+    }
+    Ok((tested, rest))
+}
+
+/// Reads the words of an arc: X=IC(5) is a way whatever mode holds, and I and J are ways by themselves.
+fn around(ways: &str, axes: [usize; 2], is_ccw: bool, is_safe: bool) -> Result<Event, String> {
+    let ends = ways.split(' ').filter(|word| word.contains('='));
+    if ends.clone().any(|word| !word.contains("=IC(") || !word.ends_with(')')) {
+        return Err(format!("an end that is no way: {ways}"));
+    }
+    let plain = ways.replace("=IC(", "").replace(')', "");
+    let found = words(&plain)?;
+    let (end, centre) = (of_axes(&found, "XYZ", axes)?, of_axes(&found, "IJK", axes)?);
+    let feed = found.iter().find(|it| it.0 == 'F').map(|it| it.1);
+    let has_modes = is_safe && ends.count() == 2;
+    Ok(Event::Around { axes, is_ccw, end, centre, feed, has_modes })
+}
 
 pub fn read(text: &str) -> Result<Vec<Event>, String> {
+    let (tested, text) = without_tests(text)?;
+    let mut of_plane = None;
     let mut events = Vec::new();
     let mut open: Vec<(usize, Vec<Event>)> = Vec::new();
     let (mut modes, mut said, mut comments) = (Vec::new(), String::new(), String::new());
@@ -51,6 +97,13 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             "TRAFOOF" => continue,
             _ => {}
         }
+        if let Some((turn @ ("G2" | "G3"), ways)) = block.split_once(' ') {
+            let axes = of_plane.ok_or(format!("no plane: {block}"))?;
+            let is_safe = PARTS.iter().all(|(part, _)| tested.contains(part))
+                && [710.0, 40.0, 94.0].iter().all(|mode| modes.contains(mode));
+            events.push(around(ways, axes, turn == "G3", is_safe)?);
+            continue;
+        }
         let machine = block.strip_prefix("SUPA ");
         let (mut to, mut rapid, mut feed, mut is_dwell, mut speed) =
             ([None; 3], None, None, false, None);
@@ -59,7 +112,8 @@ pub fn read(text: &str) -> Result<Vec<Event>, String> {
             match (letter, number) {
                 ('G', 0.0 | 1.0) => rapid = Some(number == 0.0),
                 ('G', 4.0) => is_dwell = true,
-                ('G', 17.0 | 710.0 | 40.0 | 90.0 | 94.0 | 97.0 | 60.0 | 500.0) | ('D', 0.0) => {
+                ('G', 17.0..=19.0) => of_plane = plane(number),
+                ('G', 710.0 | 40.0 | 90.0 | 94.0 | 97.0 | 60.0 | 64.0 | 500.0) | ('D', 0.0) => {
                     modes.push(number);
                 }
                 ('F', _) if is_dwell => event = Some(Event::Dwell(number)),

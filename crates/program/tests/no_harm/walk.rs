@@ -6,7 +6,7 @@ use trueup_program::Plan;
 
 use crate::{
     draw::Draw,
-    event::{Event, To},
+    event::{Event, Sort, To},
 };
 
 /// Limits that a program must keep.
@@ -34,6 +34,14 @@ impl Limits {
     }
 }
 
+/// An arc by ways from its start, in mm.
+struct Turn {
+    axes: [usize; 2],
+    is_ccw: bool,
+    end: [f64; 2],
+    centre: [f64; 2],
+}
+
 /// The machine.
 #[derive(Default)]
 struct State {
@@ -49,6 +57,10 @@ struct State {
     is_ended: bool,
     /// The highest feed, in mm/min.
     fastest: f64,
+    /// The axis and the place from which a probe has touched last.
+    touched_from: Option<(usize, f64)>,
+    is_probing: bool,
+    rows: Vec<Vec<(String, String)>>,
 }
 
 /// Follows all events. Fails with the first danger.
@@ -88,7 +100,24 @@ impl State {
                 if !has_modes {
                     return Err("it moves in the modes of an earlier program".into());
                 }
+                if self.is_probing {
+                    self.is_clear(to, limits)?;
+                }
                 self.go(to, *feed, limits)?;
+            }
+            Event::Probe { axis, mm, feed, sort, has_modes } => {
+                if !has_modes {
+                    return Err("it probes in the modes of an earlier program".into());
+                }
+                self.probe(*axis, *mm, *feed, *sort, limits)?;
+            }
+            Event::Row(cells) => self.rows.push(cells.clone()),
+            Event::Around { axes, is_ccw, end, centre, feed, has_modes } => {
+                if !has_modes {
+                    return Err("it turns in the modes of an earlier program".into());
+                }
+                let turn = Turn { axes: *axes, is_ccw: *is_ccw, end: *end, centre: *centre };
+                self.around(&turn, *feed, limits)?;
             }
         }
         Ok(())
@@ -152,6 +181,80 @@ impl State {
         Ok(())
     }
 
+    /// A probe goes unguarded where it is retracted, and to where it has begun to touch.
+    fn is_clear(&self, to: &[Option<To>; 3], limits: &Limits) -> Result<(), String> {
+        for (n, to) in to.iter().enumerate() {
+            let Some(To::Machine(mm)) = to else { continue };
+            let is_back = self.touched_from == Some((n, *mm));
+            // The first place of such an axis is its retracted end.
+            let end = self.first_mm[n].filter(|_| limits.retract[n].is_some());
+            if !is_back && end.is_none_or(|end| (end - mm).abs() > 0.001) {
+                return Err(format!(
+                    "axis {n} goes to {mm} mm with a probe, and would not see a contact"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn probe(
+        &mut self,
+        axis: usize,
+        mm: f64,
+        feed: f64,
+        sort: Sort,
+        limits: &Limits,
+    ) -> Result<(), String> {
+        self.is_probing = true;
+        let from = self.at[axis];
+        if sort == Sort::Guarded && feed != limits.approach {
+            return Err(format!("a guarded move at {feed}"));
+        }
+        if sort != Sort::Guarded && feed > 100.0 {
+            return Err(format!("it touches at {feed}"));
+        }
+        if sort == Sort::Touch {
+            self.touched_from = Some((axis, from.ok_or("it touches from where nobody knows")?));
+        }
+        if sort == Sort::Away && self.touched_from != Some((axis, mm)) {
+            return Err("it leaves to where it did not come from".into());
+        }
+        let mut to = [None; 3];
+        to[axis] = Some(To::Machine(mm));
+        self.go(&to, Some(feed), limits)
+    }
+
+    /// Goes around degree by degree, and may be read at each.
+    fn around(&mut self, turn: &Turn, feed: Option<f64>, limits: &Limits) -> Result<(), String> {
+        let [Some(u), Some(v)] = turn.axes.map(|axis| self.at[axis]) else {
+            return Err("a circle from where nobody knows".into());
+        };
+        let arm = turn.centre.map(|mm| -mm);
+        let radius = arm[0].hypot(arm[1]);
+        let last = [0, 1].map(|n| turn.end[n] - turn.centre[n]);
+        if (last[0].hypot(last[1]) - radius).abs() > 0.002 || radius < 0.5 {
+            return Err(format!("no circle: {radius} mm at the start, and at the end {last:?}"));
+        }
+        let sense = if turn.is_ccw { 1.0 } else { -1.0 };
+        let way = sense * (last[1].atan2(last[0]) - arm[1].atan2(arm[0])).to_degrees();
+        let way = if turn.end == [0.0; 2] { 360.0 } else { way.rem_euclid(360.0) };
+        for degree in 1..=way.round() as u32 {
+            let (sin, cos) = (sense * f64::from(degree)).to_radians().sin_cos();
+            let off = [arm[0] * cos - arm[1] * sin, arm[0] * sin + arm[1] * cos];
+            let mut to = [None; 3];
+            for (n, start) in [u, v].into_iter().enumerate() {
+                to[turn.axes[n]] = Some(To::Machine(start + turn.centre[n] + off[n]));
+            }
+            self.go(&to, feed, limits)?;
+            self.readings.push(self.at);
+        }
+        let mut to = [None; 3];
+        for (n, start) in [u, v].into_iter().enumerate() {
+            to[turn.axes[n]] = Some(To::Machine(start + turn.end[n]));
+        }
+        self.go(&to, feed, limits)
+    }
+
     fn end(&self, limits: &Limits, plan: &Plan) -> Result<(), String> {
         if !self.is_ended || self.is_turning {
             return Err("it does not end, or the spindle turns on".into());
@@ -173,7 +276,7 @@ impl State {
                 format!("{name} goes to {} mm", um(first)),
                 format!(
                     "{name} moves {} mm, from {} to {} mm",
-                    um(most - least),
+                    um(um(most) - um(least)),
                     um(least),
                     um(most)
                 ),
@@ -201,15 +304,43 @@ impl State {
         let mut dwells = self.readings.iter();
         let is_there = |stood: &[Option<f64>; 3], wanted: &[Option<f64>; 3]| {
             let alike = |n: usize| match (stood[n], wanted[n]) {
-                (Some(at), Some(mm)) => (at - mm).abs() < 1e-6,
+                (Some(at), Some(mm)) => (at - mm).abs() < 1e-6 * (1.0 + 1e-3),
                 (_, None) => true,
                 (None, Some(_)) => false,
             };
             (0..3).all(alike)
         };
+        if self.is_probing {
+            return self.are_rows_of(plan);
+        }
         for reading in plan.readings() {
             if !dwells.any(|stood| is_there(stood, &reading.position_mm)) {
                 return Err(format!("it does not stand at {reading:?}"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The rows that the control writes are those of the run file, with the measured ones in the empty cells.
+    fn are_rows_of(&self, plan: &Plan) -> Result<(), String> {
+        let text = trueup_program::template::templates(plan).remove(0).1;
+        let mut lines = text.lines().skip_while(|line| line.starts_with('#'));
+        let names: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+        let rows: Vec<&str> = lines.collect();
+        if rows.len() != self.rows.len() {
+            return Err(format!("{} rows, and it writes {}", rows.len(), self.rows.len()));
+        }
+        for (row, written) in rows.iter().zip(&self.rows) {
+            let mut measured = 0;
+            for ((name, cell), (column, value)) in names.iter().zip(row.split(',')).zip(written) {
+                let is_measured = cell.is_empty() && value.starts_with("#<cell_");
+                measured += usize::from(is_measured);
+                if name != column || (cell != value && !is_measured) {
+                    return Err(format!("{column}: {value}, and the run file has {name}: {cell}"));
+                }
+            }
+            if measured == 0 {
+                return Err(format!("nothing is measured: {written:?}"));
             }
         }
         Ok(())

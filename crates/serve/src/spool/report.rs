@@ -1,11 +1,14 @@
 //! Damage and overrun of the spool as sentences: which records, of which time, and where they are now.
 
 use std::{
-    fmt,
+    fmt, io,
     path::{Path, PathBuf},
 };
 
-use super::segment::{Entry, Gap};
+use super::{
+    DAMAGED,
+    segment::{Entry, Gap},
+};
 use crate::clock::utc_text;
 
 /// Records that are damaged, or gave way.
@@ -28,7 +31,7 @@ pub enum Report {
         /// Where the bytes were copied to.
         copy: PathBuf,
     },
-    /// A record was whole when it was written, and is not any more.
+    /// A record was whole when it was written, and cannot be had any more.
     Unreadable {
         /// The file.
         file: PathBuf,
@@ -36,6 +39,15 @@ pub enum Report {
         number: u64,
         /// When it was made, in ms since 1970.
         time_ms: u64,
+        /// Why its file could not be read; `None`: its bytes are damaged.
+        why: Option<String>,
+    },
+    /// A file cannot be read; it is tried again.
+    Unread {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        why: String,
     },
     /// The oldest records gave way to new ones before the broker had them.
     Overrun {
@@ -61,8 +73,13 @@ impl Report {
         }
     }
 
-    pub(super) fn unreadable(file: &Path, entry: Entry) -> Self {
-        Self::Unreadable { file: file.into(), number: entry.number, time_ms: entry.time_ms }
+    pub(super) fn unreadable(file: &Path, entry: Entry, why: Option<&io::Error>) -> Self {
+        let Entry { number, time_ms, .. } = entry;
+        Self::Unreadable { file: file.into(), number, time_ms, why: why.map(io::Error::to_string) }
+    }
+
+    pub(super) fn unread(file: &Path, why: &io::Error) -> Self {
+        Self::Unread { file: file.into(), why: why.to_string() }
     }
 
     pub(super) fn overrun(first: Entry, last: Entry, count: usize) -> Self {
@@ -76,6 +93,7 @@ impl Report {
         match self {
             Self::Damaged { first, last: Some(last), .. } => last.saturating_sub(*first) + 1,
             Self::Damaged { .. } | Self::Unreadable { .. } => 1,
+            Self::Unread { .. } => 0,
             Self::Overrun { count, .. } => *count as u64,
         }
     }
@@ -85,6 +103,7 @@ impl Report {
     pub fn code(&self) -> &'static str {
         match self {
             Self::Damaged { .. } | Self::Unreadable { .. } => "spool-damaged",
+            Self::Unread { .. } => "spool-unread",
             Self::Overrun { .. } => "spool-overrun",
         }
     }
@@ -107,12 +126,21 @@ impl fmt::Display for Report {
                 }
                 write!(f, "; copied to {}, all others are sent", copy.display())
             }
-            Self::Unreadable { file, number, time_ms } => write!(
+            Self::Unreadable { file, number, time_ms, why } => {
+                write!(f, "{}: record {number} of {} ", file.display(), utc_text(*time_ms))?;
+                match why {
+                    Some(why) => write!(f, "cannot be read: {why}")?,
+                    None => write!(f, "was damaged after it was written")?,
+                }
+                write!(
+                    f,
+                    "; all others are sent, and its file is kept in {DAMAGED}; check the disk"
+                )
+            }
+            Self::Unread { file, why } => write!(
                 f,
-                "{}: record {number} of {} was damaged after it was written; all others are sent; \
-                 check the disk",
-                file.display(),
-                utc_text(*time_ms)
+                "{} cannot be read: {why}; it is tried again for a minute, and the records wait",
+                file.display()
             ),
             Self::Overrun { count, numbers: [first, last], times_ms: [from, to] } => write!(
                 f,

@@ -24,7 +24,7 @@ fn fill(spool: &mut Spool, numbers: std::ops::Range<u32>) {
 
 /// Returns the texts of all that is to be sent.
 fn texts(spool: &mut Spool) -> Vec<String> {
-    let payloads = std::iter::from_fn(|| spool.next_to_send()).map(|it| it.payload);
+    let payloads = std::iter::from_fn(|| spool.next_to_send(Instant::now())).map(|it| it.payload);
     payloads.map(|it| String::from_utf8(it).expect("text")).collect()
 }
 
@@ -85,7 +85,7 @@ fn acknowledgements_in_another_order_settle_nothing_that_is_open() {
     let mut spool = open(&folder);
     assert_eq!(files(&folder), [""; 0].map(PathBuf::from));
     fill(&mut spool, 4..5);
-    assert_eq!(spool.next_to_send().expect("the new one").number, 5);
+    assert_eq!(spool.next_to_send(Instant::now()).expect("the new one").number, 5);
 }
 
 #[test]
@@ -162,6 +162,51 @@ fn a_bit_that_flips_while_the_spool_is_open_costs_one_record() {
     fs::write(&path, bytes).expect("the file");
     assert_eq!(numbers_of(&texts(&mut spool)), [0, 2]);
     assert!(spool.reports()[0].to_string().contains("record 2 of 1970-01-01"));
+}
+
+/// A folder in the place of the file is an error of the system for every user, root among them.
+#[cfg(unix)]
+#[test]
+fn a_file_that_cannot_be_read_for_a_moment_costs_no_record() {
+    let folder = folder();
+    let mut spool = open(&folder);
+    fill(&mut spool, 0..3);
+    let path = files(&folder).remove(0);
+    let aside = folder.path().join("aside");
+    let hide = || {
+        fs::rename(&path, &aside).expect("it is there");
+        fs::create_dir(&path).expect("its name is free");
+    };
+    let show = || {
+        fs::remove_dir(&path).expect("it is there");
+        fs::rename(&aside, &path).expect("its name is free");
+    };
+    let now = Instant::now();
+    hide();
+    assert_eq!(spool.next_to_send(now), None);
+    assert_eq!(spool.next_to_send(now + READ_AGAIN / 2), None);
+    let reports = spool.reports();
+    assert_eq!((reports.len(), reports[0].count()), (1, 0), "{reports:?}");
+    assert!(reports[0].to_string().contains("it is tried again"), "{}", reports[0]);
+    show();
+    assert_eq!(numbers_of(&texts(&mut spool)), [0, 1, 2]);
+    // One that stays so is given up, and what is written then is sent.
+    spool.rewind();
+    hide();
+    assert_eq!(spool.next_to_send(now), None);
+    assert_eq!(spool.next_to_send(now + READ_AGAIN), None);
+    let lost: u64 = spool.reports().iter().map(Report::count).sum();
+    assert_eq!((lost, spool.waiting()), (3, 0));
+    show();
+    // Its bytes stay for people.
+    fill(&mut spool, 3..4);
+    assert_eq!(numbers_of(&texts(&mut spool)), [3]);
+    drop(spool.active.take());
+    spool.acknowledge(4, now);
+    spool.settle(now + READ_AGAIN + RESEND);
+    assert!(files(&folder).is_empty());
+    let kept = fs::read(folder.path().join(DAMAGED).join(path.file_name().expect("a name")));
+    assert!(kept.is_ok_and(|it| !it.is_empty()));
 }
 
 #[test]

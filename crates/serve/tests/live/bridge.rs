@@ -7,7 +7,7 @@ use std::{
     path::Path,
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     thread,
     time::{Duration, Instant},
@@ -26,7 +26,7 @@ use trueup_store::calibration::decode;
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");
 
-/// The switches by which a test acts on the bridge.
+/// The switches by which a test acts on the bridge, and what it notes.
 #[derive(Clone, Default)]
 pub struct Switches {
     /// Its CNC wants no offsets.
@@ -35,6 +35,8 @@ pub struct Switches {
     pub is_off: Arc<AtomicBool>,
     /// Frames of clients that are anything but a question for an object.
     pub written: Arc<Mutex<Vec<Frame>>>,
+    /// By how many ms this computer held it up at most.
+    pub late_ms: Arc<AtomicU64>,
 }
 
 /// Starts a bridge; returns its address.
@@ -55,7 +57,10 @@ fn live(listener: &TcpListener, switches: &Switches) {
     let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| Code(727 + (n % 2) as u16));
     let (start, mut control, mut client) = (Instant::now(), 0_u32, None::<TcpStream>);
     for ms in 0_u32.. {
-        thread::sleep(Duration::from_millis(ms.into()).saturating_sub(start.elapsed()));
+        let due = Duration::from_millis(ms.into());
+        thread::sleep(due.saturating_sub(start.elapsed()));
+        let late = start.elapsed().saturating_sub(due).as_millis() as u64;
+        switches.late_ms.fetch_max(late, Ordering::Relaxed);
         if switches.is_off.load(Ordering::Relaxed) {
             client = None;
         } else if let Ok((stream, _)) = listener.accept() {

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use trueup_client::port::Port;
 use trueup_emulator::setup;
 use trueup_serve::{
-    broker::{Broker, Files},
+    broker::{self, Files},
     run::{self, Options},
 };
 
@@ -45,6 +45,42 @@ impl Drop for Process {
 pub fn free_port() -> u16 {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("bound").port()
+}
+
+/// A broker that is killed.
+pub trait Broker {
+    /// Ends it at once, and starts it again after this time.
+    fn kill(&mut self, pause: Duration) -> Result<()>;
+    /// The port for MQTT on this computer.
+    fn port(&self) -> u16;
+    /// The number of its process.
+    fn process(&self) -> String;
+}
+
+impl Broker for Mosquitto {
+    fn kill(&mut self, pause: Duration) -> Result<()> {
+        self.process = None;
+        thread::sleep(pause);
+        self.restart()
+    }
+
+    fn port(&self) -> u16 {
+        self.port
+    }
+
+    fn process(&self) -> String {
+        self.process.as_ref().map_or_else(String::new, |it| it.0.id().to_string())
+    }
+}
+
+/// Waits until something listens at a port of this computer.
+pub fn wait_for_port(port: u16, log: &Path) -> Result<()> {
+    let end = Instant::now() + PATIENCE;
+    while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+        ensure!(Instant::now() < end, "{}", fs::read_to_string(log)?);
+        thread::sleep(Duration::from_millis(10));
+    }
+    Ok(())
 }
 
 /// A broker with a folder of its own, that keeps what it has acknowledged: within a second it is on its disk.
@@ -80,22 +116,13 @@ impl Mosquitto {
         Ok(broker)
     }
 
-    pub fn restart(&mut self) -> Result<()> {
+    fn restart(&mut self) -> Result<()> {
         let log = fs::OpenOptions::new().create(true).append(true).open(self.folder.join("log"))?;
         let mut command = Command::new(&self.program);
         command.arg("-c").arg(self.folder.join("mosquitto.conf"));
         let child = command.stdout(log.try_clone()?).stderr(log).spawn()?;
         self.process = Some(Process(child));
-        let end = Instant::now() + PATIENCE;
-        while std::net::TcpStream::connect(("127.0.0.1", self.port)).is_err() {
-            ensure!(Instant::now() < end, "{}", fs::read_to_string(self.folder.join("log"))?);
-            thread::sleep(Duration::from_millis(10));
-        }
-        Ok(())
-    }
-
-    pub fn kill(&mut self) {
-        self.process = None;
+        wait_for_port(self.port, &self.folder.join("log"))
     }
 
     pub fn url(&self) -> String {
@@ -153,16 +180,15 @@ impl Host {
     ) -> Result<(Instant, Value)> {
         let end = Instant::now() + PATIENCE;
         loop {
-            let said = self.said();
-            if let Some(found) = said.iter().find(|(at, it)| *at >= since && is_it(it)) {
-                return Ok(found.clone());
+            {
+                let said = self.said.lock().expect("no thread panics with it");
+                let first = said.partition_point(|(at, _)| *at < since);
+                if let Some(found) = said[first..].iter().find(|(_, it)| is_it(it)) {
+                    return Ok(found.clone());
+                }
+                let (count, last) = (said.len(), said.last());
+                ensure!(Instant::now() < end, "never: {what}; the last of {count}: {last:?}");
             }
-            ensure!(
-                Instant::now() < end,
-                "never: {what}; the last of {}: {:?}",
-                said.len(),
-                said.last()
-            );
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -175,7 +201,7 @@ impl Host {
     }
 }
 
-/// The options of a publisher.
+/// The options of a publisher; its bridges with commas between them.
 #[derive(Clone, Default)]
 pub struct Start {
     pub bridge: String,
@@ -232,11 +258,12 @@ fn publisher() -> Result<()> {
     let login = word(&more["user"]).zip(word(&more["password"]));
     let files = Files { ca: ca.as_deref(), own: cert.as_deref().zip(key.as_deref()) };
     let url = word(&start["url"]).unwrap_or_default();
-    let broker = if url.is_empty() { None } else { Some(Broker::new(&url, login, files)?) };
+    let broker = if url.is_empty() { None } else { Some(broker::Broker::new(&url, login, files)?) };
     let mtconnect = word(&more["mtconnect"]).map(|it| it.parse()).transpose()?;
-    let bridge = word(&start["bridge"]).context("a bridge")?;
+    let bridges = word(&start["bridge"]).context("a bridge")?;
+    let ports: Result<Vec<Port>, _> = bridges.split(',').map(Port::parse).collect();
     let options = Options {
-        ports: vec![Port::parse(&bridge)?],
+        ports: ports?,
         name: word(&start["name"]).context("a name")?,
         spool: path(&start["spool"]).context("a spool")?,
         spool_bytes: 64 << 20,

@@ -1,9 +1,11 @@
 //! A thousand bridges as devices of one edge node: what memory and processor the publisher takes, with a real broker.
 //!
-//! The bridges are frames: the lines to them, a few threads each, are left out. All else is the publisher's own.
+//! The bridges are frames: the lines to them, a few threads each, are left out. All else is the publisher's own. A campaign
+//! measures a line.
 
 use std::{
     fs,
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -27,7 +29,7 @@ use trueup_link::{
 };
 use trueup_serve::{
     bridge::Bridge,
-    broker::{Broker, Files},
+    broker::{self, Files},
     clock,
     mqtt::{self, Publisher},
     mtconnect::adapter::Adapter,
@@ -37,7 +39,10 @@ use trueup_serve::{
     spool::Spool,
 };
 
-use crate::parts::Mosquitto;
+use crate::{
+    bridge::{self, Switches},
+    parts::{Broker, Host, Mosquitto, Start},
+};
 
 const BRIDGES: usize = 1_000;
 /// The most that they may take.
@@ -75,15 +80,32 @@ fn speak(bridge: &mut Bridge, place: usize, turn: usize, now: Instant) {
     }
 }
 
-/// Returns the seconds of a processor that this process has used, and the most memory in MB.
-fn cost() -> Result<(f64, f64)> {
-    let stat = fs::read_to_string("/proc/self/stat")?;
+/// The cost of a process so far.
+struct Cost {
+    /// Seconds of a processor.
+    cpu_s: f64,
+    /// The most memory, in MB.
+    peak_mb: f64,
+    threads: f64,
+}
+
+/// Returns the cost of a process, by its number or `self`.
+fn cost(process: &str) -> Result<Cost> {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat"))?;
     let fields: Vec<&str> = stat.rsplit_once(')').context("a name")?.1.split_whitespace().collect();
     let ticks: f64 = fields[11].parse::<f64>()? + fields[12].parse::<f64>()?;
-    let status = fs::read_to_string("/proc/self/status")?;
-    let peak = status.lines().find_map(|it| it.strip_prefix("VmHWM:")).context("Linux has it")?;
-    let kb: f64 = peak.trim_end_matches("kB").trim().parse()?;
-    Ok((ticks / 100.0, kb / 1_024.0))
+    let status = fs::read_to_string(format!("/proc/{process}/status"))?;
+    let of = |key: &str| -> Result<f64> {
+        let line = status.lines().find_map(|it| it.strip_prefix(key)).context("Linux has it")?;
+        Ok(line.trim_end_matches("kB").trim().parse()?)
+    };
+    Ok(Cost { cpu_s: ticks / 100.0, peak_mb: of("VmHWM:")? / 1_024.0, threads: of("Threads:")? })
+}
+
+/// Returns the bytes of all files in a folder.
+fn bytes(folder: &Path) -> Result<u64> {
+    let files = fs::read_dir(folder)?.flatten();
+    files.map(|it| Ok(it.metadata()?.len())).sum()
 }
 
 /// `cargo test -p trueup-serve --test live -- --ignored --nocapture a_thousand_bridges`
@@ -92,11 +114,17 @@ fn cost() -> Result<(f64, f64)> {
 fn a_thousand_bridges_at_one_edge_node_take_little_memory() -> Result<()> {
     let folder = tempfile::tempdir()?;
     let broker = Mosquitto::start(folder.path(), "autosave_interval 30")?;
+    a_thousand(folder.path(), &broker)
+}
+
+/// Publishes a thousand bridges to a broker, and prints the cost of both.
+pub fn a_thousand(folder: &Path, broker: &dyn Broker) -> Result<()> {
+    let url = format!("mqtt://127.0.0.1:{}", broker.port());
     let stop = Arc::new(AtomicBool::new(false));
     let now = Instant::now();
     let mut bridges: Vec<Bridge> = (0..BRIDGES).map(|_| Bridge::new(now)).collect();
     bridges.iter_mut().for_each(|it| _ = it.receive(LineEvent::Up, now));
-    let spool = Spool::open(&folder.path().join("spool"), 512 << 20)?;
+    let spool = Spool::open(&folder.join("spool"), 512 << 20)?;
     let shared = Shared::new(bridges, spool, stop.clone());
     let feeding = shared.clone();
     let feed = thread::spawn(move || {
@@ -114,7 +142,7 @@ fn a_thousand_bridges_at_one_edge_node_take_little_memory() -> Result<()> {
         }
     });
     let publisher = Publisher {
-        broker: Broker::new(&broker.url(), None, Files::default())?,
+        broker: broker::Broker::new(&url, None, Files::default())?,
         name: "shop".into(),
         id: "trueup-shop".into(),
         primary_host: None,
@@ -133,7 +161,7 @@ fn a_thousand_bridges_at_one_edge_node_take_little_memory() -> Result<()> {
         let at = Instant::now();
         if begun.is_none() && now.elapsed() > Duration::from_secs(10) {
             let acknowledged = shared.counts().acknowledged.load(Ordering::Relaxed);
-            begun = Some((at, cost()?.0, acknowledged));
+            begun = Some((at, cost("self")?, cost(&broker.process())?, acknowledged));
         }
         let snapshots = shared.snapshots();
         let events =
@@ -142,23 +170,76 @@ fn a_thousand_bridges_at_one_edge_node_take_little_memory() -> Result<()> {
         longest = longest.max(at.elapsed());
         thread::sleep(Duration::from_millis(50));
     }
-    let (begun, cpu_s, acknowledged) = begun.context("it has begun")?;
-    let (cpu_end_s, peak_mb) = cost()?;
+    let (begun, own_begun, broker_begun, acknowledged) = begun.context("it has begun")?;
+    let (own, of_broker) = (cost("self")?, cost(&broker.process())?);
     let passed_s = begun.elapsed().as_secs_f64();
+    let percent = |from: &Cost, to: &Cost| 100.0 * (to.cpu_s - from.cpu_s) / passed_s;
+    let peak_mb = own.peak_mb;
     let counts = shared.counts();
     let sent = counts.acknowledged.load(Ordering::Relaxed) - acknowledged;
     let recorded = counts.recorded.load(Ordering::Relaxed);
     let waiting = shared.spool().waiting();
     println!(
         "{BRIDGES} bridges: {peak_mb:.0} MB at most, {:.0} % of a core, {:.0} records a second acknowledged, \
-         {recorded} recorded, {waiting} waiting, the longest turn {longest:?}",
-        100.0 * (cpu_end_s - cpu_s) / passed_s,
+         {recorded} recorded of {} bytes each, {waiting} waiting, the longest turn {longest:?}; \
+         the broker: {:.0} MB, {:.0} % of a core",
+        percent(&own_begun, &own),
         sent as f64 / passed_s,
+        bytes(&folder.join("spool"))? / recorded.max(1),
+        of_broker.peak_mb,
+        percent(&broker_begun, &of_broker),
     );
     stop.store(true, Ordering::Relaxed);
     mqtt.join().ok().context("the publisher")?;
     feed.join().ok().context("the bridges")?;
     ensure!(peak_mb <= MAX_MB, "{peak_mb} MB");
     ensure!(sent as f64 >= 0.8 * BRIDGES as f64 * passed_s, "{sent} in {passed_s} s");
+    Ok(())
+}
+
+/// Returns what a publisher with this number of bridges, a thousand offsets a second each, uses of a core, and its cost.
+fn with_lines(count: usize) -> Result<(f64, Cost)> {
+    const SETTLED: Duration = Duration::from_secs(5);
+    const MEASURED: Duration = Duration::from_secs(20);
+    let folder = tempfile::tempdir()?;
+    let broker = Mosquitto::start(folder.path(), "")?;
+    let host = Host::start(broker.port)?;
+    let bridges: Vec<String> = (0..count).map(|_| bridge::start(Switches::default())).collect();
+    let start = Start {
+        bridge: bridges.join(","),
+        name: "n".into(),
+        spool: folder.path().join("spool"),
+        url: broker.url(),
+        ..Start::default()
+    };
+    let publisher = start.spawn()?;
+    let process = publisher.0.id().to_string();
+    host.wait("a birth", |it| it["what"] == "DBIRTH")?;
+    thread::sleep(SETTLED);
+    let (begun, before) = (Instant::now(), cost(&process)?);
+    thread::sleep(MEASURED);
+    let after = cost(&process)?;
+    let used = (after.cpu_s - before.cpu_s) / begun.elapsed().as_secs_f64();
+    Ok((used, after))
+}
+
+/// The lines to the bridges, which the thousand above do without.
+#[test]
+#[ignore = "campaign: cargo test -p trueup-serve --test live campaign_a_line -- --ignored --nocapture"]
+fn campaign_a_line_takes_little_of_a_core() -> Result<()> {
+    const MORE: usize = 8;
+    let (one, of_one) = with_lines(1)?;
+    let (all, of_all) = with_lines(1 + MORE)?;
+    let of_line = |one: f64, all: f64| (all - one) / MORE as f64;
+    println!(
+        "one bridge: {:.1} % of a core, {:.1} MB, {} threads; each more: {:.1} %, {:.2} MB, {:.1} threads",
+        100.0 * one,
+        of_one.peak_mb,
+        of_one.threads,
+        100.0 * of_line(one, all),
+        of_line(of_one.peak_mb, of_all.peak_mb),
+        of_line(of_one.threads, of_all.threads)
+    );
+    ensure!(of_one.peak_mb < 50.0, "{} MB", of_one.peak_mb);
     Ok(())
 }

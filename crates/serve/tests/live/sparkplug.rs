@@ -97,12 +97,16 @@ fn a_host_that_others_wrote_sees_births_data_rebirth_and_deaths() -> Result<()> 
         expected = seq.map(|seq| (seq + 1) % 256);
     }
 
-    // It only reads, and while it does the bridge's thousand pairs a second go on.
+    // It only reads, and while it does the bridge's thousand pairs a second come, each one. What is older than 200 ms is left
+    // out on purpose: then this computer has held up the publisher, and the bridge, which is here too.
     assert_eq!(*switches.written.lock().expect("whole"), [], "it writes nothing to the bridge");
     let lost = said.iter().filter_map(|(_, it)| it["metrics"]["Bridge/Lost frames"].as_u64()).max();
-    println!("{lost:?} of a thousand pairs a second were lost");
-    // A computer that starves the test leaves out what has become too old.
-    assert!(lost.is_some_and(|it| it <= 100), "{lost:?}");
+    let late_ms = switches.late_ms.load(Ordering::Relaxed);
+    println!(
+        "{lost:?} of a thousand pairs a second were lost; the bridge was held up for {late_ms} ms"
+    );
+    let allowed = if late_ms <= 20 { 0 } else { 100 };
+    assert!(lost.is_some_and(|it| it <= allowed), "{lost:?}, held up for {late_ms} ms");
 
     // A new connection has a new number, and who comes late sees the state.
     let restarted = Instant::now();

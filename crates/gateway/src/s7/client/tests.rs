@@ -105,7 +105,11 @@ fn what_is_no_answer_is_no_panic_and_told() {
         (then(tpkt(&[2, 0xF0, 0x80, 0x32, 3])), "no answer to a job"),
         (then(tpkt(&[2, 0xF0, 0x00, 0x32, 3])), "in parts"),
         (then(tpkt(&[2, 0xF0, 0x80, 0x32, 3, 0, 0, 0, 2, 0, 9, 0, 9, 0, 0, 5])), "cut off"),
-        (then(tpkt(&[2, 0xF0, 0x80, 0x32, 3, 0, 0, 0, 2, 0, 0, 0, 0, 0x81, 4])), "class 0x81"),
+        (then(tpkt(&[2, 0xF0, 0x80, 0x32, 3, 0, 0, 0, 2, 0, 0, 0, 0, 0x81, 4])), "PUT/GET (S7"),
+        (
+            then(tpkt(&[2, 0xF0, 0x80, 0x32, 3, 0, 0, 0, 2, 0, 0, 0, 0, 0x84, 4])),
+            "its length (trueup_db",
+        ),
         (good(), "cannot be reached"),
     ] {
         let said = refused(answers);

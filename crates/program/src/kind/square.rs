@@ -1,0 +1,140 @@
+//! A square, touched along both faces by the touch probe of the control: the angle between two axes, and their straightness.
+//!
+//! ```text
+//!        Y ▲  ║ face along Y, touched in X
+//!          │ ►║
+//!          │ ►║══════════ face along X, touched in Y
+//!          │  ▲   ▲   ▲
+//!          └─────────────► X          --at: the corner, and the height of the touches
+//! ```
+//!
+//! The way is around the corner, at a distance of `--search` from the faces. The angle of the square counts as right: what
+//! its certificate says is to be taken off the readings.
+
+use trueup_machine::{Machine, file::LinearAxis};
+
+use super::{
+    Plans, WITHOUT_CORRECTION, head_at_zero,
+    probing::{LOGGED, PROBE, Probing, needed, then},
+    without_clearance,
+};
+use crate::{
+    options::Options,
+    plan::{Column, Plan, Step},
+    probe::{Found, Mean},
+    refused::Refused,
+    travel::{even, micrometres},
+};
+
+/// Rounds around both faces.
+const REPEATS: u32 = 2;
+/// Steps along a face.
+const STEPS: f64 = 10.0;
+/// How far from its ends a face is touched, in styli.
+const INSET: f64 = 1.0;
+
+pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
+    let (probing, mut notes) = Probing::of(machine, options, "a square")?;
+    let size_mm = needed(options.size_mm, "--size", "the length of both faces of the square")?;
+    notes.extend(without_clearance(options));
+    let plan = plan(machine, &probing, size_mm, options)?;
+    Ok((vec![plan], notes))
+}
+
+fn plan(
+    machine: &Machine,
+    probing: &Probing,
+    size_mm: f64,
+    options: &Options,
+) -> Result<Plan, Refused> {
+    let inset = INSET * probing.stylus_mm;
+    let long_mm = size_mm - 2.0 * inset;
+    let step_mm = options.step_mm.unwrap_or(long_mm / STEPS);
+    let along = even(inset, inset + long_mm, step_mm).ok_or_else(|| {
+        Refused(format!("--step-mm {step_mm} does not fit on faces of {size_mm} mm"))
+    })?;
+    let [first, second] = probing.sides;
+    let radius = probing.stylus_mm / 2.0;
+    let mut steps = Vec::new();
+    for (n, &length_mm) in probing.tool_lengths_mm.iter().enumerate() {
+        let corner = probing.with_tool(probing.at_mm, length_mm);
+        let before = |axis: usize| corner[axis] - radius - probing.search_mm;
+        let behind = |axis: usize| corner[axis] - radius + probing.search_mm;
+        for (axis, other) in [(first, second), (second, first)] {
+            let last = corner[axis] + along[along.len() - 1];
+            probing.check(axis, &[before(axis), last])?;
+            probing.check(other, &[before(other), behind(other)])?;
+        }
+        probing.check(probing.tool, &[corner[probing.tool]])?;
+        if let Some(length_mm) = length_mm.filter(|_| n > 0) {
+            steps.push(probing.change(length_mm));
+        }
+        steps.extend(probing.retract());
+        // Down beside the corner, outside of both faces.
+        steps.extend([first, second].map(|axis| probing.guarded(axis, before(axis))));
+        steps.push(probing.guarded(probing.tool, corner[probing.tool]));
+        for run in 1..=options.repeats.unwrap_or(REPEATS) {
+            for [moved, touched] in [[first, second], [second, first]] {
+                let surface = corner[touched] - radius;
+                for (point, mm) in (1..).zip(&along) {
+                    let mut at_mm = corner;
+                    (at_mm[moved], at_mm[touched]) =
+                        (micrometres(corner[moved] + mm), micrometres(surface));
+                    let mut by = [None; 3];
+                    by[touched] = Some(Mean { touches: [1, 1], expected_mm: at_mm[touched] });
+                    let angle_deg = [None; 3];
+                    let point = Some(point);
+                    steps.extend([
+                        probing.guarded(moved, at_mm[moved]),
+                        probing.touch(touched, surface, 1.0, 1),
+                        Step::Found(Found {
+                            run,
+                            at_mm,
+                            angle_deg,
+                            tool_length_mm: length_mm,
+                            point,
+                            by,
+                        }),
+                    ]);
+                }
+                // Back to the corner, along the face.
+                steps.push(probing.guarded(moved, before(moved)));
+            }
+        }
+        steps.push(probing.guarded(probing.tool, probing.retracted_mm()));
+    }
+    let mut columns =
+        vec![Column::Run, Column::Constant("setup", 1.0), Column::Constant("square", 1.0)];
+    columns.push(Column::Point);
+    columns.extend(LinearAxis::ALL.map(|axis| Column::Position(axis.index())));
+    if probing.tool_lengths_mm[0].is_some() {
+        columns.push(Column::ToolLength);
+    }
+    let mut touched = probing.sides;
+    touched.sort_unstable();
+    columns.extend(touched.map(|n| Column::Empty(super::measured(LinearAxis::ALL[n]))));
+    let mut precautions: Vec<String> = head_at_zero(machine).into_iter().collect();
+    let [u, v] = touched.map(|n| super::capital(LinearAxis::ALL[n]));
+    precautions.extend([
+        format!(
+            "The square lies with its corner towards {u}- and {v}-, its faces along {u} and {v}."
+        ),
+        PROBE.into(),
+    ]);
+    Ok(Plan {
+        name: "square-xyz".into(),
+        notes: vec![
+            WITHOUT_CORRECTION.to_string(),
+            LOGGED.into(),
+            "The angle of the square counts as 90 degrees: take what its certificate says off the readings of one face.".into(),
+            "A reading is the place of the face minus where it was found; one of both columns in each row.".into(),
+        ],
+        precautions,
+        approach_mm_per_min: options.approach_mm_per_min,
+        columns,
+        then: then("square-xyz", &steps),
+        steps,
+        is_lathe: false,
+        records: Vec::new(),
+    })
+}
