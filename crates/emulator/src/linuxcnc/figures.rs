@@ -255,7 +255,7 @@ fn checks(
             "backlash on the staircase",
             backlash(|stair| stair.before_um),
             backlash(|stair| stair.after_um),
-            90.0,
+            95.0,
         ),
         Check::reduction("growth with five axes in motion", growth_um, left_um, 95.0),
         Check::most("lag of the offsets at the CNC", lag.mean_ms, "ms", 20.0),

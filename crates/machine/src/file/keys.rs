@@ -177,7 +177,7 @@ const THERMAL: &[Key] = &[
     key("constant_um_per_c", Number, "µm/K", "the same at every position").or("0.0"),
     key("slope_um_per_m_per_c", Number, "µm/(m·K)", "in proportion to the distance from `origin_mm`; steel 11.5").or("0.0"),
     key("origin_mm", Number, "mm", "where the proportional part is 0").or("0.0"),
-    key("lag_s", NotNegative, "s", "time constant by which the axis follows the temperature").or("0.0"),
+    key("lag_s", NotNegative, "s", "time constant by which the axis follows the temperature; on the board at least 1 s").or("0.0"),
     key("table", Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising")
         .as_in("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]"),
 ];

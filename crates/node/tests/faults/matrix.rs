@@ -165,7 +165,7 @@ fn a_dead_input_is_told_and_moves_little_while_a_bias_is_followed_and_said_to_be
     let bias = seen(Part::AxisThermometer, Kind::Bias, State::Live);
     assert!(bias.contains("`TemperatureRate4`; 4; 0."), "{bias}");
     let drift = seen(Part::AxisThermometer, Kind::Drift, State::Live);
-    assert_eq!(drift, "not detected; 1; 1.7 µm");
+    assert_eq!(drift, "not detected; 1; 1.5 µm");
     let gone = seen(Part::AxisThermometer, Kind::Open, State::Live);
     assert!(gone.contains("`Thermometer4`"), "{gone}");
 }

@@ -85,15 +85,25 @@ pub(super) fn angle_deg(cycle: &Cycle) -> f64 {
 }
 
 /// Where the program dwells: height, whether it came from below, mean error on Z.
+///
+/// The offset that the sampler reads may be a cycle older than the motor's position, so that a height
+/// seems to move by what the offset changes in a cycle, 0.5 µm: that is the same dwell still. Two dwells
+/// at one height would make one of them come from the other side.
 fn dwells(cycles: &[&Cycle]) -> Vec<(f64, bool, f64)> {
-    const STILL_MM: f64 = 1e-5;
+    const STILL_MM: f64 = 1e-3;
     const DWELL: usize = 150;
     const MEAN: usize = 50;
+    let height = |cycle: &Cycle| cycle.commanded_mm()[2];
     let mut dwells = Vec::new();
     let mut before_mm = f64::NEG_INFINITY;
-    let height = |cycle: &Cycle| cycle.commanded_mm()[2];
-    let same = |one: &&Cycle, other: &&Cycle| (height(one) - height(other)).abs() < STILL_MM;
-    for part in cycles.chunk_by(same).filter(|part| part.len() >= DWELL) {
+    let mut rest = cycles;
+    while let Some(first) = rest.first() {
+        let moved = |cycle: &&Cycle| (height(cycle) - height(first)).abs() >= STILL_MM;
+        let (part, next) = rest.split_at(rest.iter().position(moved).unwrap_or(rest.len()));
+        rest = next;
+        if part.len() < DWELL {
+            continue;
+        }
         let tail = &part[part.len() - MEAN..];
         let z_mm = height(part[part.len() - 1]);
         let mean_um = tail.iter().map(|cycle| cycle.with_um[2]).sum::<f64>() / MEAN as f64;
@@ -304,11 +314,15 @@ mod tests {
                 ..Cycle::default()
             }));
         };
-        go(10.0, 200, 1.0);
+        go(10.0, 400, 1.0);
         (11..20).for_each(|z| go(f64::from(z), 5, 50.0));
         go(20.0, 200, 2.0);
         go(15.0, 100, 60.0);
         go(10.0, 200, 9.0);
+        let found = dwells(&cycles.iter().collect::<Vec<_>>());
+        assert_eq!(found, [(10.0, true, 1.0), (20.0, true, 2.0), (10.0, false, 9.0)]);
+        // An offset of 0.5 µm that is read a cycle late, in the middle of the first dwell.
+        cycles[200].eoffset_mm[2] = 5e-4;
         let found = dwells(&cycles.iter().collect::<Vec<_>>());
         assert_eq!(found, [(10.0, true, 1.0), (20.0, true, 2.0), (10.0, false, 9.0)]);
     }
