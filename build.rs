@@ -1,12 +1,23 @@
 //! Hands the linker its scripts, and compiles the machine file that is linked into the image.
 //!
+//! | features | place in the flash |
+//! |---|---|
+//! | a board, `measure` | `src/memory.x` |
+//! | `boot` | that of the boot program (`trueup_boot::layout`) |
+//! | `slot-test` | that of slot A or B, as `TRUEUP_SLOT` says |
+//!
 //! The link arguments stand here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the
 //! environment would replace those in silence and the image would come out empty.
 #![allow(clippy::print_stdout, reason = "cargo reads this")]
 
 use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
+use trueup_boot::{
+    header::HEADER_SIZE,
+    layout::{BOOT_SIZE, FLASH_START, SLOT_SIZE, Slot},
+};
 use trueup_machine::{compile::compile, file::MachineFile};
+use trueup_signature::PublicKey;
 
 #[path = "commit.rs"]
 mod commit;
@@ -14,24 +25,83 @@ mod commit;
 /// The machine file of an image that was built without one.
 const EXAMPLE: &str = "data/paper_spindle.toml";
 
+/// Where the linker may place what. Not at the workspace's root: a linker that runs there takes a file of that name
+/// before any that is made here.
+const MEMORY: &str = "src/memory.x";
 /// Where the stack of the board that is flashed ends, and what lies below it.
 const GUARD: &str = "src/board/stm32f405/guard.x";
+/// The key of developers, whose private half is public.
+const DEVELOPMENT_KEY: &str = "data/keys/development.pub.pem";
 
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    let mut memory = fs::read_to_string("memory.x").expect("it stands beside this file");
-    if env::var_os("CARGO_FEATURE_STM32F405").is_some() {
-        memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
-    }
+    let is_slotted = has_feature("BOOT");
+    let memory = if is_slotted { slotted_memory() } else { whole_memory() };
     fs::write(out.join("memory.x"), memory).expect("OUT_DIR can be written");
+    println!("cargo:rerun-if-changed={MEMORY}");
     println!("cargo:rerun-if-changed={GUARD}");
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rustc-link-arg-bins=--nmagic");
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
-    println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
-    println!("cargo:rerun-if-changed=memory.x");
     commit::tell(Path::new("."));
+    if is_slotted {
+        link_key(&out);
+    } else {
+        println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+        link_calibration(&out);
+    }
+}
 
+fn has_feature(name: &str) -> bool {
+    env::var_os(format!("CARGO_FEATURE_{name}")).is_some()
+}
+
+/// All that the linker may fill of the flash, and for the board that is flashed the guard below its stack.
+fn whole_memory() -> String {
+    let mut memory = fs::read_to_string(MEMORY).expect("it is part of the package");
+    if has_feature("STM32F405") {
+        memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
+    }
+    memory
+}
+
+/// The place of the boot program, or of an image in a slot.
+fn slotted_memory() -> String {
+    println!("cargo:rerun-if-env-changed=TRUEUP_SLOT");
+    let image = |slot: Slot| {
+        let header = u32::try_from(HEADER_SIZE).expect("512");
+        (slot.start() + header, SLOT_SIZE - header, 0x2000_0000_u32, 128 * 1024)
+    };
+    let slot = env::var("TRUEUP_SLOT").unwrap_or_default();
+    let (start, length, ram, ram_length) = match (has_feature("SLOT_TEST"), slot.as_str()) {
+        (true, "B") => image(Slot::B),
+        (true, _) => image(Slot::A),
+        // The upper part of the RAM: where the application has its stack.
+        (false, _) => (FLASH_START, BOOT_SIZE, 0x2001_8000, 32 * 1024),
+    };
+    format!(
+        "MEMORY {{ FLASH : ORIGIN = {start:#x}, LENGTH = {length} \
+         RAM : ORIGIN = {ram:#x}, LENGTH = {ram_length} }}\n"
+    )
+}
+
+/// Writes the public key of updates: the one that the user names, or that of developers.
+fn link_key(out: &Path) {
+    println!("cargo:rerun-if-env-changed=TRUEUP_KEY");
+    let given = env::var("TRUEUP_KEY").unwrap_or_else(|_| DEVELOPMENT_KEY.into());
+    println!("cargo:rerun-if-changed={given}");
+    let key = fs::read_to_string(&given).map_err(|error| error.to_string());
+    match key.and_then(|pem| PublicKey::from_pem(&pem).map_err(|fault| fault.to_string())) {
+        Ok(key) => fs::write(out.join("key.bin"), key.to_bytes()).expect("OUT_DIR can be written"),
+        Err(error) => {
+            println!("cargo:warning={given}: {error}");
+            exit(1);
+        }
+    }
+}
+
+/// Compiles the machine file.
+fn link_calibration(out: &Path) {
     println!("cargo:rerun-if-env-changed=TRUEUP_MACHINE");
     let given = env::var("TRUEUP_MACHINE");
     println!("cargo:rustc-env=TRUEUP_EXAMPLE={}", u8::from(given.is_err()));

@@ -17,7 +17,7 @@ use trueup_emulator::{
     linuxcnc::{self, On},
     process,
     setup::{self, TOOLCHAIN_VARIABLE},
-    size,
+    size, slots,
 };
 
 use crate::{
@@ -112,7 +112,7 @@ fn quick_checks(checks: &mut Verification) {
         let every = ["--all-targets", "--all-features", "--", "-D", "warnings"];
         check(cargo::locked("clippy").args(every))
     });
-    checks.step("clippy, boards and benchmark", || {
+    checks.step("clippy, boards, boot program and benchmark", || {
         let mut tally = Tally::default();
         for board in Board::ALL {
             let (mut clippy, _) = firmware::cargo("clippy", board)?;
@@ -120,6 +120,7 @@ fn quick_checks(checks: &mut Verification) {
         }
         let (mut clippy, _) = firmware::cargo_measure("clippy")?;
         tally.add(check(clippy.args(["--", "-D", "warnings"]))?);
+        tally.add(check(slots::cargo("clippy")?.args(["--", "-D", "warnings"]))?);
         Ok(tally)
     });
     checks.step("model of the chip", || {

@@ -79,9 +79,33 @@ pub struct Report {
 pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
     let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let raw = folder.path().join("log");
+    let mut report = run_with(model, image, options, Some(&raw))?;
+    Decoder::of(image)?.follow(File::open(raw)?, |line| report.log.push(line))?;
+    Ok(report)
+}
+
+/// The same for an image that logs nothing.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_silent<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
+    run_with(model, image, options, None)
+}
+
+/// Runs it; its raw log goes to that file.
+fn run_with<S: AsRef<OsStr>>(
+    model: &Path,
+    image: &Path,
+    options: &[S],
+    log: Option<&Path>,
+) -> Result<Report> {
+    let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
     let mut command = Command::new(model);
     let events = folder.path().join("events");
-    command.arg(image).args(options).arg("--rtt").arg(&raw).arg("--log").arg(&events);
+    command.arg(image).args(options).arg("--log").arg(&events);
+    if let Some(log) = log {
+        command.arg("--rtt").arg(log);
+    }
     command.stdin(Stdio::null());
     let output = command.output().context("cannot start the model of the chip")?;
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -92,10 +116,8 @@ pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result
         process::line(&command),
         complaint.trim()
     );
-    let mut log = Vec::new();
-    Decoder::of(image)?.follow(File::open(raw)?, |line| log.push(line))?;
     let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
-    Ok(Report { clean: output.status.success(), said, log, events })
+    Ok(Report { clean: output.status.success(), said, log: Vec::new(), events })
 }
 
 /// Runs an image for a user: its log on this program's standard output as it comes, everything else as

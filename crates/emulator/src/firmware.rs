@@ -81,7 +81,7 @@ pub fn build_measure() -> Result<PathBuf> {
     Ok(folder.join(TARGET).join("firmware/trueup-measure"))
 }
 
-fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
+pub(crate) fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)> {
     let root = setup::root();
     let (mut command, folder) = match setup::toolchain()? {
         Toolchain::Rustup => (process::cargo(), root.join("target")),

@@ -34,5 +34,6 @@ pub mod seal;
 pub mod serve;
 pub mod setup;
 pub mod size;
+pub mod slots;
 pub mod stand_in;
 pub mod virtual_bridge;

@@ -41,7 +41,7 @@ pub fn root() -> PathBuf {
     let compiled_in = Path::new(here);
     let running = std::env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from);
     let above = |package: &Path| {
-        package.ancestors().find(|folder| folder.join("memory.x").is_file()).map(Path::to_owned)
+        package.ancestors().find(|folder| folder.join("src/memory.x").is_file()).map(Path::to_owned)
     };
     running
         .and_then(|package| above(&package))

@@ -116,6 +116,12 @@ impl PublicKey {
         self.0.to_public_key_pem(LineEnding::LF).map_err(|_| Fault::NoPublicKey)
     }
 
+    /// Returns the 32 bytes of the key (RFC 8032, section 5.1.5), as a boot program has them.
+    #[must_use]
+    pub fn to_bytes(&self) -> [u8; 32] {
+        self.0.to_bytes()
+    }
+
     /// Checks a signature, by the strict rule: weak keys and signatures of a second form are refused.
     ///
     /// # Errors

@@ -12,7 +12,7 @@
 // A test that overflows fails, which is what a test is for.
 #![cfg_attr(test, allow(clippy::arithmetic_side_effects, clippy::cast_possible_truncation))]
 
-#[cfg(test)]
+#[cfg(any(test, feature = "strict-flash"))]
 extern crate std;
 
 pub mod calendar;
@@ -23,8 +23,13 @@ mod log;
 pub mod reference;
 pub mod retained;
 pub mod slots;
-#[cfg(test)]
-mod strict_flash;
+#[cfg(any(test, feature = "strict-flash"))]
+#[allow(
+    clippy::arithmetic_side_effects,
+    clippy::cast_possible_truncation,
+    reason = "it is for tests"
+)]
+pub mod strict_flash;
 pub mod writes;
 
 pub use log::StoreError;

@@ -14,6 +14,7 @@ const LAYERS: &[(&str, &[&str])] = &[
             "link",
             "canopen",
             "store",
+            "boot",
             "node",
             "modbus",
             "max31865",

@@ -1,0 +1,248 @@
+//! Power cuts at every word of update, confirmation and going back, and a second one in what follows.
+//!
+//! The board runs version 1, confirmed, in slot A. Its application loads version 2 into slot B; the boot program
+//! starts it on trial; it is confirmed, or it crashes and the board goes back. The power is cut twice, each time at
+//! any word that is written or erased, in either flash; bits that were on their way are read differently from then
+//! on. Then the board lives on undisturbed.
+//!
+//! | at every start | because |
+//! |---|---|
+//! | a slot starts | a board never stays silent |
+//! | its bytes are those of a file, and none of them wavers | an image is never believed because it was read once |
+//! | what was acknowledged holds: verified, confirmed, rejected, the floor | an answer is a promise |
+
+use std::{println, vec::Vec};
+
+use trueup_store::strict_flash::StrictFlash;
+
+use crate::{
+    header::{HEADER_SIZE, Version},
+    inspect::Image,
+    journal::Journal,
+    layout::Slot,
+    record::Status,
+    start::{Clock, Ending, Reason, Start, choose},
+    testing::{KEY, Powered, RECORDS, SLOT, Supply, flash_by_probe, image},
+    update::{Update, confirm},
+};
+
+/// What becomes of the new image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Story {
+    /// It is confirmed.
+    Confirmed,
+    /// It crashes in its first start.
+    Crashes,
+}
+
+/// What the board has said or done, and must stand by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Promised {
+    /// The update was acknowledged.
+    update: bool,
+    /// The confirmation began; it was acknowledged.
+    confirming: bool,
+    confirmed: bool,
+    /// The new image has crashed; the board has gone back.
+    crashed: bool,
+    rejected: bool,
+}
+
+/// The content of both flashes, and what was promised.
+#[derive(Clone)]
+struct Board {
+    records: StrictFlash<RECORDS>,
+    slots: StrictFlash<SLOT>,
+    promised: Promised,
+    files: [Vec<u8>; 2],
+    context: [usize; 3],
+}
+
+/// The power was cut.
+struct Off;
+
+impl Board {
+    /// Version 1 runs in slot A, confirmed; as many other states were stored before.
+    fn new(seed: u32, before: u32) -> Self {
+        let files = [image(Slot::A, 1, 0), image(Slot::B, 2, 2)];
+        let mut slots = StrictFlash::wavering(seed);
+        flash_by_probe(&mut slots, Slot::A, &files[0]);
+        let mut journal = Journal::open(StrictFlash::wavering(seed ^ 0x5555));
+        let running = crate::inspect::read_header(&mut slots, Slot::A, Version::default());
+        let running = running.expect("it was just written");
+        for number in 0..before {
+            let state = journal.state().with(Slot::B, number, Status::Rejected);
+            journal.commit(state).expect("powered");
+        }
+        confirm(&mut journal, &running).expect("powered");
+        let records = journal.into_flash();
+        let context = [seed as usize, 0, 0];
+        Self { records, slots, promised: Promised::default(), files, context }
+    }
+
+    /// Runs work with both flashes at a supply.
+    fn powered<T>(
+        &mut self,
+        supply: &Supply,
+        work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
+    ) -> T {
+        let mut slots = Powered::new(&self.slots, supply);
+        let mut journal = Journal::open(Powered::new(&self.records, supply));
+        let result = work(&mut journal, &mut slots);
+        self.slots = slots.flash;
+        self.records = journal.into_flash().flash;
+        result
+    }
+
+    /// Starts once, and holds what starts against what was promised.
+    fn start(&mut self, supply: &Supply, ending: Ending) -> Result<Start, Off> {
+        let (start, state) = self.powered(supply, |journal, slots| {
+            let start = choose(journal, slots, &KEY, ending, Clock::Full, || ());
+            (start, journal.state())
+        });
+        if supply.is_off() {
+            return Err(Off);
+        }
+        let context = self.context;
+        let start = start.unwrap_or_else(|| panic!("no slot starts: {context:?}"));
+        let slot = start.image.header.slot;
+        let file = slot.of(&self.files);
+        let from = usize::from(slot.number()) * SLOT;
+        assert_eq!(self.slots.bytes[from..from + file.len()], *file, "{context:?}");
+        let wavers = self.slots.wavering.range(from..from + file.len()).any(|(_, bits)| *bits != 0);
+        assert!(!wavers, "it starts an image that wavers: {context:?}");
+        let Promised { update, confirming, confirmed, crashed, rejected } = self.promised;
+        assert!(!confirmed || slot == Slot::B, "confirmed, and gone: {context:?}");
+        assert!(!rejected || slot == Slot::A, "rejected, and back: {context:?}");
+        assert!(!update || crashed || slot == Slot::B, "loaded, and not started: {context:?}");
+        let floor = state.floor;
+        let risen = floor == Version::new(0, 2, 0, 0);
+        assert!(risen || floor == Version::default(), "floor {floor}: {context:?}");
+        assert!(confirming || !risen, "the floor rose before a confirmation: {context:?}");
+        assert!(!confirmed || risen, "the floor fell: {context:?}");
+        let is_confirmed = Slot::B.of(&state.slots).status == Status::Confirmed;
+        assert_eq!(risen, is_confirmed, "the floor rises with the confirmation: {context:?}");
+        Ok(start)
+    }
+
+    /// Loads version 2 into slot B.
+    fn update(&mut self, supply: &Supply, running: &Image) -> Result<(), Off> {
+        let file = self.files[1].clone();
+        let header: &[u8; HEADER_SIZE] = file.first_chunk().expect("a header");
+        let result = self.powered(supply, |journal, slots| {
+            let mut update = Update::begin(journal, slots, running, header)?;
+            for piece in file[HEADER_SIZE..].chunks(7) {
+                update.append(slots, piece)?;
+            }
+            update.finish(journal, slots, &KEY, || ())
+        });
+        if supply.is_off() {
+            return Err(Off);
+        }
+        result.unwrap_or_else(|error| panic!("{error}: {:?}", self.context));
+        self.promised.update = true;
+        Ok(())
+    }
+
+    fn confirm(&mut self, supply: &Supply, running: &Image) -> Result<(), Off> {
+        self.promised.confirming = true;
+        let result = self.powered(supply, |journal, _| confirm(journal, running));
+        if supply.is_off() {
+            return Err(Off);
+        }
+        result.unwrap_or_else(|error| panic!("{error}: {:?}", self.context));
+        self.promised.confirmed = true;
+        Ok(())
+    }
+
+    /// Lives with the power on until the story is over, or the supply is cut.
+    fn live(&mut self, supply: &Supply, story: Story) -> Result<(), Off> {
+        let mut ending = Ending::PowerCycle;
+        for _ in 0..4 {
+            let Start { image, reason } = self.start(supply, ending)?;
+            ending = Ending::Reset;
+            match (image.header.slot, story) {
+                (Slot::A, Story::Crashes) if reason == Reason::WentBack => {
+                    self.promised.rejected = true;
+                    return Ok(());
+                }
+                (Slot::A, _) => self.update(supply, &image)?,
+                (Slot::B, Story::Confirmed) if self.promised.confirmed => return Ok(()),
+                (Slot::B, Story::Confirmed) => self.confirm(supply, &image)?,
+                (Slot::B, Story::Crashes) => self.promised.crashed = true,
+            }
+        }
+        panic!("the story has no end: {:?}", self.context)
+    }
+
+    /// What the board has promised still holds after three more power cycles.
+    fn rest(&mut self) {
+        for _ in 0..3 {
+            let supply = Supply::of(usize::MAX);
+            for random in [&self.records.random, &self.slots.random] {
+                random.set(random.get().wrapping_mul(0x9E37_79B9) | 1);
+            }
+            assert!(self.start(&supply, Ending::PowerCycle).is_ok(), "the supply lasts");
+        }
+    }
+}
+
+/// Returns how many bytes a story burns from here.
+fn burnt(board: &Board, story: Story) -> usize {
+    const FUEL: usize = usize::MAX / 2;
+    let supply = Supply::of(FUEL);
+    assert!(board.clone().live(&supply, story).is_ok(), "the supply lasts");
+    FUEL - supply.left()
+}
+
+/// Cuts at every word, and again at each `step`-th word of what follows; gives the number of pairs.
+fn cut_twice(story: Story, seed: u32, before: u32, step: usize) -> usize {
+    let start = Board::new(seed, before);
+    let all = burnt(&start, story);
+    let mut pairs = 0;
+    for first in (0..=all).step_by(4) {
+        let mut once = start.clone();
+        once.context = [seed as usize, first, usize::MAX];
+        let is_over = once.live(&Supply::of(first), story).is_ok();
+        assert_eq!(is_over, first == all, "{first} of {all}");
+        // The first of the second cuts moves on, so that over all of the first every word has its turn.
+        let follows = burnt(&once, story);
+        for second in (first % (4 * step)..=follows).step_by(4 * step) {
+            let mut twice = once.clone();
+            twice.context[2] = second;
+            // Whether it was over is no matter: what was promised is.
+            twice.live(&Supply::of(second), story).ok();
+            assert!(twice.live(&Supply::of(usize::MAX), story).is_ok(), "the supply lasts");
+            twice.rest();
+            pairs += 1;
+        }
+    }
+    println!("{story:?}: {pairs} pairs, {} words in the first life", all / 4);
+    pairs
+}
+
+/// The same with up to three other states stored before, so that sectors of the journal fill up at other words.
+fn cut_twice_in_all(story: Story, step: usize) -> usize {
+    let seed = |before: u32| 2 * before + u32::from(story == Story::Crashes);
+    (0..4).map(|before| cut_twice(story, seed(before) + 1, before, step)).sum()
+}
+
+#[test]
+fn two_power_cuts_in_an_update_that_is_confirmed_leave_a_board_that_starts() {
+    let pairs = cut_twice_in_all(Story::Confirmed, 11);
+    assert!(pairs >= 50_000, "{pairs}");
+}
+
+#[test]
+fn two_power_cuts_in_an_update_that_crashes_leave_a_board_that_starts() {
+    let pairs = cut_twice_in_all(Story::Crashes, 11);
+    assert!(pairs >= 50_000, "{pairs}");
+}
+
+#[test]
+#[ignore = "long: every pair of words, eighty seconds"]
+fn two_power_cuts_at_every_pair_of_words_leave_a_board_that_starts() {
+    let pairs = [Story::Confirmed, Story::Crashes].map(|story| cut_twice_in_all(story, 1));
+    println!("{} pairs", pairs[0] + pairs[1]);
+    assert!(pairs[0] + pairs[1] >= 1_000_000, "{pairs:?}");
+}

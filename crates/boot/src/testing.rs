@@ -1,0 +1,148 @@
+//! A board of tests: both flashes behind one supply, images, and a key that costs no time.
+//!
+//! The signature of these tests is a checksum: they are about the order of the steps, not about cryptography.
+
+use core::cell::Cell;
+use std::{rc::Rc, vec::Vec};
+
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use trueup_store::strict_flash::StrictFlash;
+
+use crate::{
+    crc,
+    header::{HEADER_SIZE, Header, SIGNATURE_SIZE, Version},
+    inspect::Key,
+    layout::Slot,
+    record::ENTRY_SIZE,
+};
+
+/// Bytes of a sector of the records: room for four states.
+pub const RECORDS: usize = 8 * ENTRY_SIZE;
+/// Bytes of a slot.
+pub const SLOT: usize = HEADER_SIZE + 128;
+
+/// The supply of both flashes: bytes that can still be written or erased, and whether it is off.
+#[derive(Clone, Debug, Default)]
+pub struct Supply {
+    fuel: Rc<Cell<usize>>,
+    off: Rc<Cell<bool>>,
+}
+
+impl Supply {
+    /// Returns one that lasts for this many bytes.
+    pub fn of(fuel: usize) -> Self {
+        let supply = Self::default();
+        supply.fuel.set(fuel);
+        supply
+    }
+
+    /// Returns whether it was cut.
+    pub fn is_off(&self) -> bool {
+        self.off.get()
+    }
+
+    /// Returns how many bytes it still lasts for.
+    pub fn left(&self) -> usize {
+        self.fuel.get()
+    }
+}
+
+/// A flash at a supply.
+#[derive(Debug)]
+pub struct Powered<const SECTOR: usize> {
+    pub flash: StrictFlash<SECTOR>,
+    pub supply: Supply,
+}
+
+impl<const SECTOR: usize> Powered<SECTOR> {
+    pub fn new(flash: &StrictFlash<SECTOR>, supply: &Supply) -> Self {
+        Self { flash: flash.powered(), supply: supply.clone() }
+    }
+
+    fn run(
+        &mut self,
+        work: impl FnOnce(&mut StrictFlash<SECTOR>) -> Result<(), NorFlashErrorKind>,
+    ) -> Result<(), NorFlashErrorKind> {
+        if self.supply.is_off() {
+            return Err(NorFlashErrorKind::Other);
+        }
+        self.flash.fuel = self.supply.fuel.get();
+        let result = work(&mut self.flash);
+        self.supply.fuel.set(self.flash.fuel);
+        self.supply.off.set(self.flash.off);
+        result
+    }
+}
+
+impl<const SECTOR: usize> ErrorType for Powered<SECTOR> {
+    type Error = NorFlashErrorKind;
+}
+
+impl<const SECTOR: usize> ReadNorFlash for Powered<SECTOR> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        self.flash.read(offset, bytes)
+    }
+
+    fn capacity(&self) -> usize {
+        self.flash.capacity()
+    }
+}
+
+impl<const SECTOR: usize> NorFlash for Powered<SECTOR> {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = SECTOR;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        self.run(|flash| flash.erase(from, to))
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        self.run(|flash| flash.write(offset, bytes))
+    }
+}
+
+/// A key whose signatures are checksums.
+#[derive(Clone, Copy, Debug)]
+pub struct TestKey(pub u32);
+
+impl TestKey {
+    fn sign(self, message: &[u8]) -> [u8; SIGNATURE_SIZE] {
+        let crc = self.0 ^ crc::checksum(message);
+        core::array::from_fn(|n| crc.to_le_bytes()[n % 4])
+    }
+}
+
+impl Key for TestKey {
+    fn verify(&self, message: &[u8], signature: &[u8; SIGNATURE_SIZE]) -> bool {
+        self.sign(message) == *signature
+    }
+}
+
+/// The key of these boards.
+pub const KEY: TestKey = TestKey(7);
+
+/// Returns the file of an image of this version, signed.
+pub fn image(slot: Slot, version: u8, floor: u8) -> Vec<u8> {
+    signed_by(KEY, slot, version, floor)
+}
+
+/// As [`image`], by another key.
+pub fn signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
+    let body: Vec<u8> =
+        (0..64).map(|n: u8| n.wrapping_mul(version).wrapping_add(slot.number())).collect();
+    let [version, floor] = [version, floor].map(|minor| Version::new(0, minor, 0, 0));
+    let mut header = Header::unsigned(&body, slot, version, floor);
+    header.signature = key.sign(Header::signed(&header.encode()));
+    let mut file = header.encode().to_vec();
+    file.extend(body);
+    file
+}
+
+/// Writes a file as a probe does.
+pub fn flash_by_probe(slots: &mut StrictFlash<SLOT>, slot: Slot, file: &[u8]) {
+    let start = usize::from(slot.number()) * SLOT;
+    slots.bytes[start..start + SLOT].fill(0xFF);
+    slots.bytes[start..start + file.len()].copy_from_slice(file);
+}

@@ -1,0 +1,8 @@
+//! The boot program, unmodified, on the model of its chip (`crates/chip`), with small images in the slots
+//! (`src/bin/slot_test`): which one speaks, and after how long.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
+
+mod board;
+mod cuts;
+mod starts;
+mod updates;

@@ -1,0 +1,168 @@
+//! An image of the tests of the boot program: small, says on the serial line which it is, and does what its
+//! behaviour says. It is linked for one slot like the application. Never for a machine.
+//!
+//! | behaviour | does |
+//! |---|---|
+//! | 0 | says its name every 50 ms and keeps the watchdog quiet |
+//! | 1 | hangs at once, and says nothing |
+//! | 2 | says its name once, then resets |
+//! | 3 | says its name once, then hangs |
+//! | 4 | is confirmed, then as 0 |
+//! | 5 | loads the file at sector 8 into the other slot, resets; with nothing newer there as 4 |
+//!
+//! Its name is one byte, 16 bytes of it are written into the image by the test: `SLOT_TEST`.
+#![no_std]
+#![no_main]
+#![allow(unsafe_code, reason = "registers, and words that the test has written")]
+
+#[path = "../boot/flash.rs"]
+mod flash;
+
+use core::{
+    panic::PanicInfo,
+    ptr::{addr_of, read_volatile},
+};
+
+use cortex_m::peripheral::SCB;
+use cortex_m_rt::entry;
+use stm32f4xx_hal::pac::{IWDG, Peripherals, USART1};
+use trueup_boot::{
+    header::{HEADER_SIZE, Version},
+    inspect::{Image, read_header},
+    journal::Journal,
+    key::PublicKey,
+    update::{Update, confirm, slot_at},
+};
+
+static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+/// The file that is loaded: where the application has its store.
+const FILE: u32 = 0x0808_0000;
+
+/// Behaviour and name, as the test writes them.
+#[repr(C)]
+struct Settings {
+    behaviour: u8,
+    name: u8,
+}
+
+#[used]
+#[unsafe(export_name = "SLOT_TEST")]
+static SETTINGS: Settings = Settings { behaviour: 0, name: b'?' };
+
+#[entry]
+fn main() -> ! {
+    // SAFETY: the static is there; volatile, because the test has written its bytes after it was compiled.
+    let Settings { behaviour, name } = unsafe { read_volatile(addr_of!(SETTINGS)) };
+    if behaviour == 1 {
+        hang();
+    }
+    let Some(device) = Peripherals::take() else { SCB::sys_reset() };
+    // As the application, which clears them.
+    device.RCC.csr().modify(|_, w| w.rmvf().set_bit());
+    start_serial(&device);
+    say(&device.USART1, name);
+    match behaviour {
+        2 => SCB::sys_reset(),
+        3 => hang(),
+        _ => {}
+    }
+    let (records, mut slots) = flash::split(device.FLASH);
+    let mut journal = Journal::open(records);
+    let slot = slot_at(load as *const () as u32);
+    let Ok(running) = read_header(&mut slots, slot, Version::default()) else { SCB::sys_reset() };
+    if behaviour == 4 || behaviour == 5 {
+        let is_confirmed = confirm(&mut journal, &running).is_ok();
+        say(&device.USART1, if is_confirmed { b'c' } else { b'!' });
+    }
+    loosen_for(behaviour, &device.IWDG);
+    if behaviour == 5 && load(&mut journal, &mut slots, &running, &device.IWDG) {
+        say(&device.USART1, b'u');
+        SCB::sys_reset();
+    }
+    loop {
+        feed(&device.IWDG);
+        cortex_m::asm::delay(800_000);
+        say(&device.USART1, name);
+    }
+}
+
+/// Loads the file; `true`: the boot program is to start it.
+fn load(
+    journal: &mut Journal<flash::Records>,
+    slots: &mut flash::Slots,
+    running: &Image,
+    watchdog: &IWDG,
+) -> bool {
+    // SAFETY: flash that nobody writes to.
+    let file = unsafe { core::slice::from_raw_parts(FILE as *const u8, 128 * 1024) };
+    let (Some(header), Some(key)) = (file.first_chunk::<HEADER_SIZE>(), PublicKey::new(KEY)) else {
+        return false;
+    };
+    let Ok(mut update) = Update::begin(journal, slots, running, header) else { return false };
+    feed(watchdog);
+    let length = update.image().header.length as usize;
+    let Some(rest) = file.get(HEADER_SIZE..length) else { return false };
+    for piece in rest.chunks(64) {
+        if update.append(slots, piece).is_err() {
+            return false;
+        }
+        feed(watchdog);
+    }
+    update.finish(journal, slots, &key, || feed(watchdog)).is_ok()
+}
+
+fn hang() -> ! {
+    loop {
+        cortex_m::asm::nop();
+    }
+}
+
+/// Eight seconds, as an application that may erase: by 256, 1 000 periods.
+fn loosen_for(behaviour: u8, watchdog: &IWDG) {
+    if behaviour != 5 {
+        return;
+    }
+    // SAFETY: the keys and values of RM0090, section 21.4.
+    unsafe {
+        watchdog.kr().write(|w| w.bits(0x5555));
+        watchdog.pr().write(|w| w.bits(6));
+        watchdog.rlr().write(|w| w.bits(1_000));
+    }
+    let _is_done = (0..8_000).any(|_| watchdog.sr().read().bits() == 0);
+    feed(watchdog);
+}
+
+fn feed(watchdog: &IWDG) {
+    // SAFETY: the key of RM0090, section 21.4.1.
+    watchdog.kr().write(|w| unsafe { w.bits(0xAAAA) });
+}
+
+/// PA9 as USART1's transmit, 921 600 Bd of 16 MHz (2.1 % fast).
+fn start_serial(device: &Peripherals) {
+    device.RCC.ahb1enr().modify(|_, w| w.gpioaen().set_bit());
+    device.RCC.apb2enr().modify(|_, w| w.usart1en().set_bit());
+    // A read of the register lets the clock come up (errata sheet, delay after an RCC clock enabling).
+    let _clocked = device.RCC.apb2enr().read();
+    // SAFETY: values of RM0090, sections 8.4 and 30.6.
+    unsafe {
+        device.GPIOA.afrh().modify(|r, w| w.bits(r.bits() & !0xF0 | 7 << 4));
+        device.GPIOA.moder().modify(|r, w| w.bits(r.bits() & !(3 << 18) | 2 << 18));
+        device.USART1.brr().write(|w| w.bits(0x11));
+        device.USART1.cr1().write(|w| w.bits(1 << 13 | 1 << 3));
+    }
+}
+
+/// One byte and the end of a line.
+fn say(serial: &USART1, name: u8) {
+    for byte in [name, b'\r'] {
+        let _is_free = (0..10_000).any(|_| serial.sr().read().txe().bit_is_set());
+        // SAFETY: any byte.
+        serial.dr().write(|w| unsafe { w.bits(byte.into()) });
+    }
+    let _is_sent = (0..10_000).any(|_| serial.sr().read().tc().bit_is_set());
+}
+
+#[panic_handler]
+fn panic(_: &PanicInfo<'_>) -> ! {
+    SCB::sys_reset()
+}
