@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use trueup_checks::{
-    book, campaign, debian, release, structure,
+    book, bounds, campaign, debian, release, structure,
     verify::{self, Tier},
 };
 use trueup_demo::{
@@ -71,6 +71,9 @@ enum Command {
     LinuxCnc(LinuxCnc),
     /// Prints the size of the firmware images.
     Size,
+    /// Bounds the time of every task of the flashable image, on each clock, next to the longest that the model of the
+    /// chip sees.
+    Bounds,
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
     Images,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
@@ -236,6 +239,7 @@ fn main() -> ExitCode {
         Command::Chip(ChipOptions { options }) => run_chip(options),
         Command::LinuxCnc(options) => run_linuxcnc(options),
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
+        Command::Bounds => bounds::print().map(|report| trueup_output::line(report.trim_end())),
         Command::Images => firmware::carried().map(|folder| trueup_output::line(folder.display())),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),

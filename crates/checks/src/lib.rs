@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 pub mod book;
+pub mod bounds;
 pub mod campaign;
 mod cargo;
 pub mod debian;

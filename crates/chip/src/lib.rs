@@ -19,5 +19,6 @@ pub mod run;
 pub mod script;
 pub mod summary;
 pub mod time;
+pub mod turns;
 pub mod wire;
 pub mod world;

@@ -207,6 +207,13 @@ fn say_masks(board: &mut Board, symbols: &Symbols) {
     if !waits.is_empty() {
         println!("   pending at the longest: {}", waits.join(", "));
     }
+    let turns = board.turns.longest.iter().map(|(number, longest)| {
+        format!("{number}: {:.1} of {:.1} µs", micros(longest.own), micros(longest.whole))
+    });
+    let turns: Vec<String> = turns.collect();
+    if !turns.is_empty() {
+        println!("   turns at the longest, by exception: {}", turns.join(", "));
+    }
 }
 
 fn say_places(places: &BTreeMap<u32, u64>, symbols: &Symbols, most: usize) {

@@ -274,6 +274,18 @@ impl Processor {
         self.core.with_sys(|system| PENDED.map(|(_, number)| system.is_pending(Exception(number))))
     }
 
+    /// Returns the number of the exception that is handled; 0: none.
+    #[must_use]
+    pub fn exception(&self) -> u16 {
+        self.core.current_exception().0
+    }
+
+    /// Returns whether the handler of an exception has begun and not ended.
+    #[must_use]
+    pub fn is_active(&self, exception: u16) -> bool {
+        self.core.with_sys(|system| system.is_active(Exception(exception)))
+    }
+
     /// Returns whether it waits for an interrupt.
     #[must_use]
     pub fn is_asleep(&self) -> bool {

@@ -6,6 +6,7 @@ use crate::elf;
 use crate::processor::{FLASH_SIZE, Memories, Memory, PENDED, Peripherals, Processor};
 use crate::report::Grade;
 use crate::time::ms;
+use crate::turns::Turns;
 use crate::world::World;
 use std::collections::BTreeMap;
 use std::sync::{
@@ -65,7 +66,7 @@ pub struct Masked {
 /// Options of a run: what is watched beyond the chip itself.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Watch {
-    /// How long interrupts are held off, and how long what the program raises waits.
+    /// How long interrupts are held off, how long what the program raises waits, and how long handlers take.
     pub masked: bool,
     /// Where the processor is, sampled.
     pub places: bool,
@@ -94,6 +95,8 @@ pub struct Board {
     pended_since: [Option<u64>; PENDED.len()],
     /// The longest that each of [`PENDED`] waited for its handler to begin.
     pub pended_longest: [u64; PENDED.len()],
+    /// How long each handler takes.
+    pub turns: Turns,
     /// Ticks asleep.
     pub asleep: u64,
     /// When it first slept: what comes before is the start.
@@ -164,6 +167,7 @@ impl Board {
             masked_since: None,
             pended_since: [None; PENDED.len()],
             pended_longest: [0; PENDED.len()],
+            turns: Turns::default(),
             asleep: 0,
             first_sleep: None,
             sleeps: 0,
@@ -219,7 +223,7 @@ impl Board {
     /// Runs until that time, in ticks since power-on.
     pub fn run_until(&mut self, end: u64) {
         while self.now < end {
-            let pc = self.processor.pc();
+            let (pc, began) = (self.processor.pc(), self.now);
             let cycles = self.processor.step();
             self.steps += 1;
             self.pass(cycles);
@@ -230,6 +234,11 @@ impl Board {
                 self.watch_mask();
             }
             self.stand_still_for_flash();
+            if self.watch.masked {
+                let (exception, pc) = (self.processor.exception(), self.processor.pc());
+                let is_active = |it| self.processor.is_active(it);
+                self.turns.step(exception, pc, self.now - began, self.now, is_active);
+            }
             if self.now >= self.shared.next.load(Relaxed) && !self.processor.is_in_it_block() {
                 self.advance();
             }
@@ -319,6 +328,7 @@ impl Board {
                 // What was held off while the image began is no wait of a task.
                 self.masks.clear();
                 self.pended_longest.fill(0);
+                self.turns = Turns::default();
                 self.with_chip(|chip| chip.irq_longest.fill(0));
             }
             let woken = self.processor.idle(cycles, self.watch.awake);

@@ -127,9 +127,13 @@ impl Lag {
     /// ```
     pub fn step(&mut self, x: i32, smoothing: SmoothingFactor) {
         if self.missed != 0 {
-            let missed = core::mem::take(&mut self.missed);
-            self.follow(x, smoothing, missed);
+            self.follow(x, smoothing, 0);
         }
+        self.advance(x, smoothing);
+    }
+
+    /// Follows `x` over one step; what it has missed is none.
+    fn advance(&mut self, x: i32, smoothing: SmoothingFactor) {
         let target = Self::settled(x).state;
         if smoothing == SmoothingFactor::NO_LAG {
             self.state = target;
@@ -140,14 +144,15 @@ impl Lag {
         self.state = self.state.wrapping_add(scaled_by_q32(difference, smoothing.0));
     }
 
-    /// Follows `x`, which has held over this many steps.
+    /// Follows `x`, which has held over this many steps and those that it has missed.
     #[cold]
     #[inline(never)]
     pub fn follow(&mut self, x: i32, smoothing: SmoothingFactor, steps: u32) {
-        let (mut several, mut left) = (smoothing.0, steps);
+        let missed = core::mem::take(&mut self.missed);
+        let (mut several, mut left) = (smoothing.0, steps.saturating_add(missed));
         while left > 0 {
             if left & 1 == 1 {
-                self.step(x, SmoothingFactor(several));
+                self.advance(x, SmoothingFactor(several));
             }
             several = of_twice_as_many(several);
             left >>= 1;

@@ -11,6 +11,7 @@
 
 pub mod binary;
 pub mod board;
+pub mod busy;
 pub mod call_graph;
 pub mod chip;
 pub mod chip_live;

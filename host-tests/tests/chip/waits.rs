@@ -2,24 +2,16 @@
 //! live with: a factor of two below the deadline (`src/main.rs`), and no offset is lost on the serial line.
 //! `docs/robustness.md` has the figures.
 
-use std::thread;
+use std::{sync::OnceLock, thread};
 
-use trueup_core::cnc::Control;
-use trueup_emulator::{chip::Report, plc};
+use trueup_bounds::report::Bounds;
+use trueup_checks::bounds;
+use trueup_emulator::{
+    busy::{self, CLOCKS, Clock},
+    chip::Report,
+};
 
-use super::run;
-
-/// A clock: its name, the options for it, how long to live in ms, the speed of the PLC's line, and what a byte of
-/// that takes in µs.
-type Clock = (&'static str, &'static [&'static str], &'static str, &'static [&'static str], f64);
-
-const FAST: &[&str] = &["--low", "PB5", "--modbus-baud", "115200"];
-const CLOCKS: [Clock; 3] = [
-    ("168 MHz", &[], "900", FAST, 95.0),
-    ("144 MHz", &["--hse-dead"], "900", FAST, 95.0),
-    // Its start takes two thirds of a second.
-    ("16 MHz", &["--hse-dead", "--pll-dead"], "1400", &[], 573.0),
-];
+use super::parts;
 
 /// Lines of interrupts, the task of each, and its deadline in µs.
 const LINES: [(u32, &str, f64); 7] = [
@@ -45,22 +37,6 @@ const STARTED: [(&str, &str, f64); 4] = [
 /// or not: at 16 MHz the script is played as often as this, this many ms later each time.
 const LATER_MS: [u32; 6] = [0, 1, 3, 7, 11, 17];
 
-/// All lines are open and busy, a PLC engages, and `Zero` is taken and stored.
-fn script(from_ms: u32, later_ms: u32) -> String {
-    let read = plc::read();
-    let (opened_ms, from_ms) = (700 + later_ms, from_ms + later_ms);
-    let mut script =
-        format!("0 control 0\n0 positions 500\n150 say S8\\rO\\r\n{opened_ms} say S8\\rO\\r\n");
-    for (counter, at) in (0..).zip((from_ms..from_ms + 1_000).step_by(90)) {
-        let zero = at > from_ms + 350;
-        let control =
-            if counter < 3 { Control::REFERENCED } else { Control { zero, ..Control::ENGAGED } };
-        let write = plc::write(control, counter);
-        script += &format!("{at} modbus {write}\n{} modbus {read}\n", at + 45);
-    }
-    script
-}
-
 /// Returns the number before the unit behind these words, in µs.
 fn behind(report: &Report, words: &str) -> Option<f64> {
     let (_, rest) = report.said.split_once(words)?;
@@ -77,17 +53,26 @@ fn offsets(report: &Report) -> (usize, usize) {
     (all.len(), all.windows(2).filter(|pair| pair[1] != pair[0].wrapping_add(1)).count())
 }
 
+/// Panics if a turn was longer than its bound.
+fn is_bounded(clock: &str, report: &Report) {
+    static BOUNDS: OnceLock<Bounds> = OnceLock::new();
+    let (_, image) = parts().expect("the image was run");
+    let bounds = BOUNDS.get_or_init(|| bounds::of(image).expect("the image is bounded"));
+    let seen = busy::turns(report);
+    for bound in bounds.all.iter().filter(|bound| bound.clock == clock) {
+        if let Some([own, _]) = seen.get(&bound.exception) {
+            assert!(*own <= bound.turn_us, "{clock}, {}: {own} µs, {bound:?}", bound.task);
+        }
+    }
+    assert!(seen.len() > 6, "the model says how long turns take: {}", report.said);
+}
+
 #[test]
 fn no_task_waits_for_half_its_deadline_on_any_clock() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let lived = |(clock, dead, ms, line, byte_us): Clock, later_ms: u32| {
-        // When the board is up, so that the PLC's bytes find somebody.
-        let from_ms = if clock == "16 MHz" { 720 } else { 250 };
-        let file = folder.path().join(format!("{clock} {later_ms}"));
-        std::fs::write(&file, script(from_ms, later_ms)).expect("writable");
-        let path = file.to_str().expect("a plain name");
-        let own = ["--bor", "--ms", ms, "--masked", "--script", path];
-        let Some(report) = run(&[&own[..], dead, line].concat()) else { return };
+    let lived = |of: Clock, later_ms: u32| {
+        let (clock, .., byte_us) = of;
+        let Some((model, image)) = parts() else { return };
+        let report = busy::run(model, image, &of, later_ms).expect("the model runs");
         // At 16 MHz the serial line is 2.1 % fast, which the model notes.
         let is_as_known = report.said.contains("Violation: 1") && report.said.contains("941176 Bd");
         assert!(report.clean || is_as_known, "{}", report.said);
@@ -123,6 +108,7 @@ fn no_task_waits_for_half_its_deadline_on_any_clock() {
             let deadline = if is_slow { SLOW_MODBUS_US } else { deadline };
             assert!(wait.parse::<f64>().expect("a number") < deadline / 2.0, "{text}");
         }
+        is_bounded(clock, &report);
         let (count, lost) = offsets(&report);
         println!("{text} µs; {count} offsets on the serial line, {lost} lost");
         assert!(count > 600 && lost == 0, "{clock}");

@@ -44,7 +44,17 @@ const LAYERS: &[(&str, &[&str])] = &[
     ),
     (
         "bench",
-        &["twin", "campaigns", "emulator", "chip", "pipe", "demo", "checks", "measured-data"],
+        &[
+            "twin",
+            "campaigns",
+            "emulator",
+            "chip",
+            "pipe",
+            "demo",
+            "bounds",
+            "checks",
+            "measured-data",
+        ],
     ),
 ];
 

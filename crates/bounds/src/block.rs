@@ -1,0 +1,56 @@
+//! A block: instructions that follow each other, where it leads on, and what it calls at its end.
+
+use std::collections::BTreeSet;
+
+use crate::decode::Instruction;
+
+/// How control goes on from a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Edge {
+    /// The number of the next block.
+    pub to: usize,
+    /// The pipeline is refilled.
+    pub is_taken: bool,
+}
+
+/// The call at the end of a block.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Call {
+    /// Of functions that begin here.
+    To(BTreeSet<u32>),
+    /// Of what a register holds: which, the values or a table have to say.
+    Register(u8),
+}
+
+/// A block.
+#[derive(Clone, Debug, Default)]
+pub struct Block {
+    /// Its instructions.
+    pub instructions: Vec<Instruction>,
+    /// Where it leads on.
+    pub next: Vec<Edge>,
+    /// The call that it ends with.
+    pub call: Option<Call>,
+    /// It may go back to the caller of the function, after its call if it has one.
+    pub returns: bool,
+}
+
+impl Block {
+    /// Its first address.
+    #[must_use]
+    pub fn start(&self) -> u32 {
+        self.instructions[0].at
+    }
+
+    /// The address behind it.
+    #[must_use]
+    pub fn end(&self) -> u32 {
+        self.last().end()
+    }
+
+    /// Its last instruction.
+    #[must_use]
+    pub fn last(&self) -> &Instruction {
+        self.instructions.last().expect("a block is never empty")
+    }
+}

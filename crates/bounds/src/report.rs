@@ -1,0 +1,227 @@
+//! The bounds of all tasks on all clocks, and as a table.
+
+use std::{collections::BTreeMap, fmt::Write as _};
+
+use anyhow::{Context as _, Result};
+
+use crate::{
+    clock::{CLOCKS, Clock},
+    firmware::STALL_US,
+    image::Image,
+    program::{Entry, Program},
+    response::{self, Core, Load},
+    sections::Sections,
+    source::Source,
+    table::{Sizes, Table},
+    tasks::{self, Task},
+    worst::Worst,
+};
+
+/// The bounds of a task on a clock, in microseconds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bound {
+    /// Its name.
+    pub task: String,
+    /// The clock's name.
+    pub clock: &'static str,
+    /// The number of its exception.
+    pub exception: u32,
+    /// Its priority.
+    pub priority: u8,
+    /// The longest turn, if nothing interrupts it.
+    pub turn_us: f64,
+    /// The longest that a task below holds it off.
+    pub blocking_us: f64,
+    /// From its start to its end at the longest; `None`: longer than the deadline.
+    pub response_us: Option<f64>,
+    /// The same while a word of the flash is programmed, which no task interrupts.
+    pub stalled_us: Option<f64>,
+    /// Its deadline.
+    pub deadline_us: f64,
+}
+
+/// All bounds, and what is missing for them.
+#[derive(Clone, Debug, Default)]
+pub struct Bounds {
+    /// A bound of each task on each clock.
+    pub all: Vec<Bound>,
+    /// Loops without a bound and calls without a target: with one of them nothing is bounded.
+    pub problems: Vec<String>,
+    /// Declarations that nothing needed.
+    pub unused: Vec<String>,
+    /// How many loops the code bounds, and how many the table.
+    pub loops: [usize; 2],
+}
+
+/// Computes the bounds of the tasks of an app (the text of `src/main.rs`) in an image, for calibrations of these sizes.
+///
+/// # Errors
+/// The app's table cannot be read, or a task has no function in the image.
+pub fn of(
+    image: &Image,
+    app: &str,
+    table: &Table,
+    source: &Source,
+    sizes: Sizes,
+) -> Result<Bounds> {
+    let program = Program::new(image, table, source, sizes);
+    let tasks = tasks::read(app)?;
+    let functions = tasks.iter().filter_map(|task| image.function(&task.interrupt));
+    let entries = functions.map(|it| Entry { start: it.start, arguments: [None; 4] });
+    let mut exceptions = Vec::new();
+    for task in &tasks {
+        let function = image.function(&task.interrupt);
+        let number = function.and_then(|it| image.exception(it.start));
+        exceptions.push(number.with_context(|| format!("no vector leads to {}", task.interrupt))?);
+    }
+    program.find_ram(&entries.collect::<Vec<_>>());
+    let mut all = Vec::new();
+    for clock in CLOCKS {
+        let (loads, turns) = loads(&program, image, &tasks, clock)?;
+        all.extend(tasks.iter().enumerate().map(|(number, task)| {
+            let deadline_us = task.deadline_us(clock.mhz);
+            let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
+            let us = |cycles: u64| cycles as f64 / f64::from(clock.mhz);
+            let longest = |loads: &[Load]| {
+                response::longest(loads, number, Core::at(&clock), cycles(deadline_us)).map(us)
+            };
+            let mut stalled = loads.clone();
+            stalled[number].blocking = stalled[number].blocking.max(cycles(STALL_US));
+            Bound {
+                task: task.name.clone(),
+                clock: clock.name,
+                exception: exceptions[number],
+                priority: task.priority,
+                turn_us: us(turns[number]),
+                blocking_us: us(loads[number].blocking),
+                response_us: longest(&loads),
+                stalled_us: longest(&stalled),
+                deadline_us,
+            }
+        }));
+    }
+    let loops = program.origins();
+    Ok(Bounds { all, problems: program.problems(), unused: program.unused(), loops })
+}
+
+/// The tasks in cycles on a clock, and behind them the functions that are called once in a while, as tasks of their own;
+/// the longest turn of each task.
+fn loads(
+    program: &Program<'_>,
+    image: &Image,
+    tasks: &[Task],
+    clock: Clock,
+) -> Result<(Vec<Load>, Vec<u64>)> {
+    let within_line = program.within_line();
+    let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
+    let (mut sections, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
+    let mut seldom: BTreeMap<u32, Load> = BTreeMap::new();
+    let periods = program.once();
+    for task in tasks {
+        let function = image.function(&task.interrupt);
+        let function = function.with_context(|| {
+            format!("{}: the image has no function {}", task.name, task.interrupt)
+        })?;
+        let entry = Entry { start: function.start, arguments: [None; 4] };
+        let waiting = task.bytes.map(|bytes| bytes.waiting);
+        let (empty, _) = Worst::turn(program, clock, waiting.map(|_| 0), entry);
+        let (whole, once) = Worst::turn(program, clock, waiting, entry);
+        let full = Worst::new(program, clock, waiting);
+        sections.push(Sections::new(program, &full).below(entry));
+        let mut load = Load {
+            priority: task.priority,
+            period: cycles(task.period_us(clock.mhz)).max(1),
+            is_raised: task.is_raised,
+            empty,
+            each: 0,
+            gap: task.bytes.map_or(0, |bytes| cycles(bytes.gap_us)),
+            waiting: u64::from(waiting.unwrap_or_default()),
+            blocking: 0,
+        };
+        if let Some(bytes) = task.bytes {
+            let (count, line) = (u64::from(bytes.waiting), u64::from(bytes.line));
+            let (within, _) = Worst::turn(&within_line, clock, waiting, entry);
+            load.each = within.saturating_sub(empty).div_ceil(count);
+            let per_line = (whole - empty).div_ceil(count).saturating_sub(load.each);
+            load.each += per_line.div_ceil(line);
+            // One line more than there are whole ones.
+            load.empty += per_line;
+        }
+        turns.push(load.longest() + once.values().sum::<u64>());
+        for (start, cost) in once {
+            let period = cycles(periods[&start]);
+            let own = Load { period, empty: cost, gap: 0, waiting: 0, each: 0, ..load.clone() };
+            let known = seldom.entry(start).or_insert_with(|| own.clone());
+            known.empty = known.empty.max(cost);
+            known.priority = known.priority.max(task.priority);
+        }
+        loads.push(load);
+    }
+    for (number, task) in tasks.iter().enumerate() {
+        let below = tasks.iter().zip(&sections).filter(|(it, _)| it.priority < task.priority);
+        let reaching = below
+            .flat_map(|(_, sections)| sections)
+            .filter(|section| section.ceiling.is_none_or(|ceiling| ceiling >= task.priority));
+        loads[number].blocking = reaching.map(|section| section.cycles).max().unwrap_or(0);
+    }
+    loads.extend(seldom.into_values());
+    Ok((loads, turns))
+}
+
+impl Bounds {
+    /// Returns the tasks whose response is not bounded below their deadline, as `clock task`.
+    #[must_use]
+    pub fn late(&self) -> Vec<String> {
+        let late = self.all.iter().filter(|it| it.response_us.is_none());
+        late.map(|it| format!("{} {}", it.clock, it.task)).collect()
+    }
+
+    /// Returns the table; `seen` gives the longest turn of a task on a clock that was seen, of its own and from beginning to
+    /// end, in microseconds.
+    #[must_use]
+    pub fn table(&self, seen: impl Fn(&Bound) -> Option<[f64; 2]>) -> String {
+        let mut text = String::new();
+        let [code, table] = self.loops;
+        writeln!(text, "{code} loops are bounded by the code, {table} by the table").ok();
+        for clock in CLOCKS {
+            writeln!(text, "\n{}, {} wait states; in µs", clock.name, clock.flash).ok();
+            writeln!(
+                text,
+                "{:<16} {:>4} {:>10} {:>9} {:>6} {:>10} {:>10} {:>10} {:>10}",
+                "task",
+                "prio",
+                "turn",
+                "seen",
+                "times",
+                "blocked",
+                "response",
+                "stalled",
+                "deadline"
+            )
+            .ok();
+            for bound in self.all.iter().filter(|it| it.clock == clock.name) {
+                let seen = seen(bound);
+                let times = seen.map(|[own, _]| format!("{:.1}", bound.turn_us / own));
+                let seen = seen.map(|[own, _]| format!("{own:.1}"));
+                let or_late = |it: Option<f64>| {
+                    it.map_or_else(|| "not below".to_owned(), |it| format!("{it:.1}"))
+                };
+                writeln!(
+                    text,
+                    "{:<16} {:>4} {:>10.1} {:>9} {:>6} {:>10.1} {:>10} {:>10} {:>10.1}",
+                    bound.task,
+                    bound.priority,
+                    bound.turn_us,
+                    seen.as_deref().unwrap_or("–"),
+                    times.as_deref().unwrap_or("–"),
+                    bound.blocking_us,
+                    or_late(bound.response_us),
+                    or_late(bound.stalled_us),
+                    bound.deadline_us,
+                )
+                .ok();
+            }
+        }
+        text
+    }
+}

@@ -1,0 +1,109 @@
+//! Small programs, assembled by hand (`llvm-mc -triple=thumbv7em-none-eabihf -show-encoding`): a loop without a bound, a
+//! call that leads nowhere and a circle of calls are named; what has a bound costs what the manual says.
+
+use trueup_bounds::{
+    clock::{CLOCKS, Clock},
+    image::Image,
+    program::{Entry, Program},
+    sections::Sections,
+    source::Source,
+    table::{CallTargets, LoopBound, Rounds, Sizes, Spot, Table},
+    worst::Worst,
+};
+
+const FLASH: u32 = 0x0800_0000;
+/// `1: ldr r1, [r0]; cmp r1, #0; beq 1b; bx lr`.
+const POLLS: &[u16] = &[0x6801, 0x2900, 0xD0FC, 0x4770];
+/// `movs r2, #20; 1: subs r2, #1; bne 1b; bx lr`.
+const COUNTS: &[u16] = &[0x2214, 0x3A01, 0xD1FD, 0x4770];
+/// `movs r1, #3; 2: movs r2, #5; 1: subs r2, #1; bne 1b; subs r1, #1; bne 2b; bx lr`.
+const NESTED: &[u16] = &[0x2103, 0x2205, 0x3A01, 0xD1FD, 0x3901, 0xD1FA, 0x4770];
+/// `add.w r2, r0, #40; 1: ldr r3, [r0], #4; cmp r0, r2; bne 1b; bx lr`.
+const POINTER: &[u16] = &[0xF100, 0x0228, 0xF850, 0x3B04, 0x4290, 0xD1FB, 0x4770];
+/// `push {r4, lr}; blx r3; pop {r4, pc}`.
+const BY_REGISTER: &[u16] = &[0xB510, 0x4798, 0xBD10];
+/// `push {r4, lr}; bl .-2; pop {r4, pc}`: calls itself.
+const CIRCLE: &[u16] = &[0xB510, 0xF7FF, 0xFFFD, 0xBD10];
+/// `movs r0, #0xC0; msr basepri_max, r0; ldr r1, [r2]; adds r1, #1; str r1, [r2]; movs r0, #0; msr basepri, r0; bx lr`.
+const LOCKED: &[u16] =
+    &[0x20C0, 0xF380, 0x8812, 0x6811, 0x3101, 0x6011, 0x2000, 0xF380, 0x8811, 0x4770];
+/// `cpsid i; ldr r1, [r2]; cpsie i; bx lr`.
+const MASKED: &[u16] = &[0xB672, 0x6811, 0xB662, 0x4770];
+
+const SLOW: Clock = CLOCKS[2];
+const FAST: Clock = CLOCKS[0];
+
+/// Returns the worst case of the first function, and what is missing.
+fn worst(code: &[&[u16]], table: &Table, clock: Clock) -> (u64, Vec<String>) {
+    let names = ["first", "second"];
+    let functions: Vec<_> =
+        (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
+    let (image, source) = (Image::of_code(&functions), Source::new(".".into()));
+    let program = Program::new(&image, table, &source, Sizes::NONE);
+    let entry = Entry { start: FLASH, arguments: [None; 4] };
+    let cycles = Worst::new(&program, clock, None).of(entry);
+    (cycles, program.problems())
+}
+
+#[test]
+fn a_loop_without_a_bound_is_named_unless_the_table_has_it() {
+    let (_, problems) = worst(&[POLLS], &Table::default(), SLOW);
+    assert_eq!(problems.len(), 1, "{problems:?}");
+    assert!(problems[0].starts_with("loop without a bound in first, at 0x8000000"), "{problems:?}");
+    const DECLARED: &[LoopBound] = &[LoopBound {
+        at: Spot { function: "first", line: "" },
+        rounds: Rounds::Times(10),
+        reason: "the unit answers within ten polls",
+    }];
+    let table = Table { loops: DECLARED, ..Table::default() };
+    // Left behind its body alone, it goes back nine times: ten loads of 2 and a wait of 1, ten comparisons, ten branches, nine
+    // refills of 3, and the way back.
+    assert_eq!(worst(&[POLLS], &table, SLOW), (10 * (3 + 1 + 1) + 9 * 3 + 1, Vec::new()));
+}
+
+#[test]
+fn loops_that_count_are_bounded_by_their_code() {
+    let none = Table::default();
+    // 20 subtractions and branches, 19 of them taken.
+    assert_eq!(worst(&[COUNTS], &none, SLOW), (1 + 20 * 2 + 19 * 3 + 1, vec![]));
+    // The loop fits the cache: its line is read once, and one that was asked for ahead is waited for.
+    assert_eq!(worst(&[COUNTS], &none, FAST), (1 + 2 * 5 + 20 * 2 + 19 * 3 + 1, vec![]));
+    let inner = 1 + 5 * 2 + 4 * 3;
+    assert_eq!(worst(&[NESTED], &none, SLOW), (1 + 3 * (inner + 2) + 2 * 3 + 1, vec![]));
+    // Ten words up to an address that is 40 bytes behind an unknown one.
+    assert_eq!(worst(&[POINTER], &none, SLOW), (1 + 10 * (3 + 1 + 1) + 9 * 3 + 1, vec![]));
+}
+
+#[test]
+fn calls_that_lead_nowhere_and_circles_are_named() {
+    let (_, problems) = worst(&[BY_REGISTER, COUNTS], &Table::default(), SLOW);
+    assert!(problems[0].starts_with("call by register in first, at 0x8000002"), "{problems:?}");
+    const DECLARED: &[CallTargets] = &[CallTargets {
+        at: Spot { function: "first", line: "" },
+        functions: &["second"],
+        reason: "its only caller says so",
+    }];
+    let table = Table { calls: DECLARED, ..Table::default() };
+    // push 3, blx 1 and 3, what is called, back 3, pop 3.
+    let counts = worst(&[COUNTS], &table, SLOW).0;
+    assert_eq!(worst(&[BY_REGISTER, COUNTS], &table, SLOW), (3 + 1 + 3 + counts + 3 + 3, vec![]));
+    let (_, problems) = worst(&[CIRCLE], &Table::default(), SLOW);
+    assert_eq!(problems, ["first never comes back"]);
+}
+
+#[test]
+fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
+    let of = |code| {
+        let (image, source) = (Image::of_code(&[("first", FLASH, code)]), Source::new(".".into()));
+        let table = Table::default();
+        let program = Program::new(&image, &table, &source, Sizes::NONE);
+        let worst = Worst::new(&program, SLOW, None);
+        let entry = Entry { start: FLASH, arguments: [None; 4] };
+        let sections = Sections::new(&program, &worst).below(entry);
+        assert!(program.problems().is_empty(), "{:?}", program.problems());
+        sections.iter().map(|it| (it.ceiling, it.cycles)).collect::<Vec<_>>()
+    };
+    // The write of the mask, the load, the sum, the store, the number, the write back; 0xC0 is the priority 4.
+    assert_eq!(of(LOCKED), [(Some(4), 2 + 3 + 1 + 3 + 1 + 2)]);
+    assert_eq!(of(MASKED), [(None, 2 + 3 + 2)]);
+}

@@ -1,0 +1,115 @@
+//! The time of every task is bounded, from the linked image: every loop has a bound, and every response is below its deadline
+//! or named here.
+#![allow(clippy::print_stdout, reason = "a test prints its figures")]
+
+use std::{collections::BTreeMap, path::PathBuf, process::Command, sync::OnceLock};
+
+use trueup_bounds::{
+    decode::{self, Flow},
+    image::Image,
+    report::Bounds,
+};
+use trueup_checks::bounds;
+use trueup_emulator::{firmware, setup};
+
+fn image() -> &'static PathBuf {
+    static IMAGE: OnceLock<PathBuf> = OnceLock::new();
+    IMAGE.get_or_init(|| {
+        firmware::build_for(&setup::root().join("data/paper_spindle.toml")).unwrap()
+    })
+}
+
+fn bounded() -> &'static Bounds {
+    static BOUNDS: OnceLock<Bounds> = OnceLock::new();
+    BOUNDS.get_or_init(|| bounds::of(image()).unwrap())
+}
+
+/// Tasks that are bounded below their deadline without the accelerator of the flash, by clock. Of all others it is not shown
+/// (docs/robustness.md has the reasons), and their responses are measured on the model instead (`chip`, `waits`).
+const SHOWN: &[&str] = &[
+    "168 MHz serial_receive",
+    "168 MHz serial_moved",
+    "144 MHz serial_receive",
+    "144 MHz serial_moved",
+];
+
+#[test]
+fn every_loop_of_every_task_has_a_bound() {
+    let bounds = bounded();
+    let [code, table] = bounds.loops;
+    println!("{code} loops are bounded by the code, {table} by the table");
+    assert_eq!(bounds.problems, [""; 0]);
+    assert_eq!(bounds.unused, [""; 0], "declared, but not needed");
+    // A program that sees nothing would pass.
+    assert!(code > 30 && table > 60 && bounds.all.len() > 30);
+}
+
+#[test]
+fn responses_are_below_their_deadlines_where_it_is_shown() {
+    let bounds = bounded();
+    println!("{}", bounds.table(|_| None));
+    let late = bounds.late();
+    let in_time = bounds.all.iter().map(|it| format!("{} {}", it.clock, it.task));
+    let in_time: Vec<String> = in_time.filter(|it| !late.contains(it)).collect();
+    assert_eq!(in_time, SHOWN);
+}
+
+/// The disassembler of LLVM says: address, and the target of a branch.
+fn disassembled() -> Option<BTreeMap<u32, (String, Option<u32>)>> {
+    let mut command = Command::new("llvm-objdump");
+    let output = command.args(["-d", "--no-show-raw-insn"]).arg(image()).output().ok()?;
+    let mut all = BTreeMap::new();
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let Some((at, text)) = line.split_once(":\t").or(line.split_once(": ")) else { continue };
+        let Ok(at) = u32::from_str_radix(at.trim(), 16) else { continue };
+        let text = text.trim();
+        if text.starts_with('.') {
+            continue;
+        }
+        let mnemonic = text.split_whitespace().next().unwrap_or_default().to_owned();
+        let is_branch =
+            mnemonic.starts_with('b') && !mnemonic.starts_with("bi") && !mnemonic.starts_with("bf")
+                || mnemonic.starts_with("cb");
+        let target = text.split_once("0x").filter(|_| is_branch);
+        let target = target.and_then(|(_, hex)| {
+            let end = hex.find(|it: char| !it.is_ascii_hexdigit()).unwrap_or(hex.len());
+            u32::from_str_radix(&hex[..end], 16).ok()
+        });
+        all.insert(at, (mnemonic, target));
+    }
+    Some(all)
+}
+
+#[test]
+#[ignore = "long: disassembles the whole image"]
+fn lengths_and_targets_are_those_of_the_disassembler() {
+    let Some(expected) = disassembled() else {
+        println!("skipped: llvm-objdump is not here");
+        return;
+    };
+    let image = Image::read(image()).unwrap();
+    let (mut count, mut branches) = (0, 0);
+    for function in image.functions() {
+        let mut at = function.start;
+        while at < function.end {
+            let end = image.end_of_stretch(at).min(function.end);
+            let code = image.bytes(at, end).filter(|_| !image.is_data(at));
+            for one in code.iter().flat_map(|code| decode::decode(code, at)) {
+                let place = format!("{:#x} in {}", one.at, function.name);
+                let (mnemonic, target) = expected.get(&one.at).expect(&place);
+                let own = match one.flow {
+                    Flow::Jump(target) | Flow::Call(target) | Flow::Zero { target, .. } => {
+                        Some(target)
+                    }
+                    _ => None,
+                };
+                assert_eq!(own, *target, "{mnemonic} at {place}");
+                count += 1;
+                branches += u32::from(own.is_some());
+            }
+            at = end;
+        }
+    }
+    println!("{count} instructions, {branches} of them branch to an address");
+    assert!(count > 20_000 && branches > 4_000);
+}
