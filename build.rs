@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a board, `measure` | `src/memory.x` |
 //! | `boot` | that of the boot program (`trueup_boot::layout`) |
-//! | `slot-test` | that of slot A or B, as `TRUEUP_SLOT` says |
+//! | `slots`, `slot-test` | that of slot A or B, as `TRUEUP_SLOT` says |
 //!
 //! The link arguments stand here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the
 //! environment would replace those in silence and the image would come out empty.
@@ -35,18 +35,20 @@ const DEVELOPMENT_KEY: &str = "data/keys/development.pub.pem";
 
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    let is_slotted = has_feature("BOOT");
-    let memory = if is_slotted { slotted_memory() } else { whole_memory() };
-    fs::write(out.join("memory.x"), memory).expect("OUT_DIR can be written");
+    let place = place();
+    fs::write(out.join("memory.x"), place.memory()).expect("OUT_DIR can be written");
+    // The image checks itself from there on (`src/board/stm32f405/image.rs`).
+    fs::write(out.join("start.in"), place.start.to_string()).expect("OUT_DIR can be written");
     println!("cargo:rerun-if-changed={MEMORY}");
     println!("cargo:rerun-if-changed={GUARD}");
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rustc-link-arg-bins=--nmagic");
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     commit::tell(Path::new("."));
-    if is_slotted {
+    if has_feature("BOOT") {
         link_key(&out);
-    } else {
+    }
+    if has_feature("SLOTS") || !has_feature("BOOT") {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
         link_calibration(&out);
     }
@@ -56,33 +58,47 @@ fn has_feature(name: &str) -> bool {
     env::var_os(format!("CARGO_FEATURE_{name}")).is_some()
 }
 
-/// All that the linker may fill of the flash, and for the board that is flashed the guard below its stack.
-fn whole_memory() -> String {
-    let mut memory = fs::read_to_string(MEMORY).expect("it is part of the package");
-    if has_feature("STM32F405") {
-        memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
-    }
-    memory
+/// A part of the flash, and the part of the RAM that goes with it: start and bytes.
+struct Place {
+    start: u32,
+    length: u32,
+    ram: (u32, u32),
 }
 
-/// The place of the boot program, or of an image in a slot.
-fn slotted_memory() -> String {
+impl Place {
+    /// Returns the script of the linker; for the board that is flashed with the guard below its stack.
+    fn memory(&self) -> String {
+        let Self { start, length, ram: (ram, ram_length) } = self;
+        let mut memory = format!(
+            "MEMORY {{ FLASH : ORIGIN = {start:#x}, LENGTH = {length} \
+             RAM : ORIGIN = {ram:#x}, LENGTH = {ram_length} }}\n"
+        );
+        if *start == FLASH_START && !has_feature("BOOT") {
+            memory = fs::read_to_string(MEMORY).expect("it is part of the package");
+        }
+        if has_feature("STM32F405") {
+            memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
+        }
+        memory
+    }
+}
+
+/// Returns the place of this image.
+fn place() -> Place {
     println!("cargo:rerun-if-env-changed=TRUEUP_SLOT");
-    let image = |slot: Slot| {
-        let header = u32::try_from(HEADER_SIZE).expect("512");
-        (slot.start() + header, SLOT_SIZE - header, 0x2000_0000_u32, 128 * 1024)
-    };
-    let slot = env::var("TRUEUP_SLOT").unwrap_or_default();
-    let (start, length, ram, ram_length) = match (has_feature("SLOT_TEST"), slot.as_str()) {
-        (true, "B") => image(Slot::B),
-        (true, _) => image(Slot::A),
+    let ram = (0x2000_0000, 128 * 1024);
+    let header = u32::try_from(HEADER_SIZE).expect("512");
+    let is_in_slot = has_feature("SLOTS") || has_feature("SLOT_TEST");
+    if is_in_slot {
+        let is_b = env::var("TRUEUP_SLOT").is_ok_and(|slot| slot == Slot::B.name());
+        let start = if is_b { Slot::B.start() } else { Slot::A.start() };
+        Place { start: start + header, length: SLOT_SIZE - header, ram }
+    } else if has_feature("BOOT") {
         // The upper part of the RAM: where the application has its stack.
-        (false, _) => (FLASH_START, BOOT_SIZE, 0x2001_8000, 32 * 1024),
-    };
-    format!(
-        "MEMORY {{ FLASH : ORIGIN = {start:#x}, LENGTH = {length} \
-         RAM : ORIGIN = {ram:#x}, LENGTH = {ram_length} }}\n"
-    )
+        Place { start: FLASH_START, length: BOOT_SIZE, ram: (0x2001_8000, 32 * 1024) }
+    } else {
+        Place { start: FLASH_START, length: 512 * 1024, ram }
+    }
 }
 
 /// Writes the public key of updates: the one that the user names, or that of developers.

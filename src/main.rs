@@ -385,6 +385,7 @@ mod app {
             it.retain(&shared.node.lock(|node| node.kept()));
             // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
             shared.port.lock(Port::close);
+            it.announce_restart();
             board::restart();
         }
         it.show(now, quality);

@@ -38,6 +38,8 @@ pub struct Supervision {
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
+    #[cfg(feature = "slots")]
+    own_slot: crate::board::OwnSlot,
 }
 
 impl Supervision {
@@ -63,6 +65,8 @@ impl Supervision {
             blocks: 0,
             silent: false,
             until_log_ms: 0,
+            #[cfg(feature = "slots")]
+            own_slot: crate::board::OwnSlot::look(),
         }
     }
 
@@ -155,7 +159,16 @@ impl Supervision {
             self.watchdog.feed();
             self.brown_out
                 .turn(!matches!(quality, Quality::Off | Quality::Fault), &mut self.watchdog);
+            #[cfg(feature = "slots")]
+            self.own_slot.turn(quality, PERIOD_MS);
         }
+    }
+
+    /// The board is about to be started anew because that was asked for.
+    #[cfg_attr(not(feature = "slots"), allow(clippy::unused_self, reason = "it has no slot"))]
+    pub fn announce_restart(&mut self) {
+        #[cfg(feature = "slots")]
+        self.own_slot.announce();
     }
 
     /// Returns true once a second.

@@ -30,6 +30,8 @@ const _: () = assert!(ENTRY as usize == ENTRY_SIZE);
 const CLAIM: usize = 4;
 /// Entries of a state.
 const COPIES: u32 = 2;
+/// Entries that a start leaves free, so that an application never has to erase: it confirms, and announces a reset.
+const RESERVE: u32 = 2 * COPIES;
 /// Entries that are tried for one copy, before the flash counts as worn.
 const ATTEMPTS: u32 = 3;
 
@@ -106,12 +108,21 @@ impl<F: NorFlash> Journal<F> {
         self.is_settled
     }
 
-    /// Writes the believed state again if it is not settled.
+    /// Writes the believed state again if it is not settled, and into the other sector if there is too little room
+    /// for an application's own.
     ///
     /// # Errors
     /// [`NotStored`].
     pub fn settle(&mut self) -> Result<(), NotStored> {
-        if self.is_settled { Ok(()) } else { self.write(self.state) }
+        let has_room = self.next.saturating_add(RESERVE) <= self.entries();
+        if self.is_settled && has_room {
+            return Ok(());
+        }
+        if !has_room {
+            self.is_settled = false;
+            self.begin_generation()?;
+        }
+        self.write(self.state)
     }
 
     /// Stores a state; it counts from now on, whatever happens.

@@ -25,7 +25,7 @@ pub enum Board {
 }
 
 /// Names the machine file that is linked into an image.
-const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
+pub(crate) const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
 
 /// Which machine file is linked in.
 #[derive(Clone, Copy)]
@@ -144,7 +144,7 @@ pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
 
 /// Part of the name of an image for this machine file: two programs that build for two machines at once do not
 /// overwrite each other's, and for one machine there is one image.
-fn mark(machine: &Path) -> Result<String> {
+pub(crate) fn mark(machine: &Path) -> Result<String> {
     let text = fs::read(machine).with_context(|| machine.display().to_string())?;
     let mut hasher = DefaultHasher::new();
     text.hash(&mut hasher);

@@ -19,9 +19,11 @@ const CHECK_SIZE: usize = 8;
 pub fn seal(image: &Path) -> Result<()> {
     let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
     let (address, place) = find(&bytes, CHECK).context("the image has no place for a CRC")?;
-    let mut flash = binary::of(image)?;
+    // It begins with its vectors, wherever it is linked for.
+    let start = symbol(image, "__vector_table")?.context("the image has no vectors")?;
+    let mut flash = binary::of(image)?.split_off(usize::try_from(start - binary::FLASH_START)?);
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
-    let own = usize::try_from(address - binary::FLASH_START)?;
+    let own = usize::try_from(address - start)?;
     ensure!(
         own + CHECK_SIZE <= flash.len() && own.is_multiple_of(4),
         "its place is not in the image"

@@ -42,23 +42,48 @@ pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
     build("slot-test", "trueup-slot-test", &name, Some(slot))
 }
 
-/// Returns a cargo command for the boot program and the image of its tests: `cargo <verb>`.
+/// Returns cargo commands for the boot program with the image of its tests, and for the application in a slot:
+/// `cargo <verb>`.
 ///
 /// # Errors
 /// As [`firmware::cargo`].
-pub fn cargo(verb: &str) -> Result<Command> {
-    let (mut command, _) = firmware::cargo_for(verb, "slot-test")?;
-    command.args(["--bin", "trueup-boot-program", "--bin", "trueup-slot-test"]);
-    Ok(command)
+pub fn cargo(verb: &str) -> Result<[Command; 2]> {
+    let (mut boot, _) = firmware::cargo_for(verb, "slot-test")?;
+    boot.args(["--bin", "trueup-boot-program", "--bin", "trueup-slot-test"]);
+    let (mut application, _) = firmware::cargo_for(verb, "slots")?;
+    application.args(["--bin", "trueup-firmware"]);
+    Ok([boot, application])
+}
+
+/// Builds the application of the board that is flashed for a machine, linked for a slot and with its CRC.
+///
+/// # Errors
+/// As [`build_boot`]; the machine file cannot be used.
+pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
+    let name = format!("stm32f405-{}-for-{}", slot.name(), firmware::mark(machine)?);
+    let (mut command, folder) = cargo_for("slots", "trueup-firmware", Some(slot))?;
+    command.env(firmware::MACHINE_VARIABLE, machine);
+    let image = build_with(command, &folder, "trueup-firmware", &name)?;
+    seal::seal(&image)?;
+    Ok(image)
 }
 
 fn build(feature: &str, program: &str, name: &str, slot: Option<Slot>) -> Result<PathBuf> {
+    let (command, folder) = cargo_for(feature, program, slot)?;
+    build_with(command, &folder, program, name)
+}
+
+fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Command, PathBuf)> {
     let (mut command, folder) = firmware::cargo_for("build", feature)?;
     command.args(["--bin", program]);
     match slot {
         Some(slot) => command.env("TRUEUP_SLOT", slot.name()),
         None => command.env_remove("TRUEUP_SLOT"),
     };
+    Ok((command, folder))
+}
+
+fn build_with(mut command: Command, folder: &Path, program: &str, name: &str) -> Result<PathBuf> {
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
     // Both slots' images have the same file name, so nobody else may build until the copy is made.

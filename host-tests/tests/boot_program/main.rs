@@ -2,6 +2,7 @@
 //! (`src/bin/slot_test`): which one speaks, and after how long.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+mod application;
 mod board;
 mod cuts;
 mod starts;

@@ -12,8 +12,8 @@ use stm32f4xx_hal::{
     rcc::{Enable as _, Rcc, Reset as _},
 };
 
-/// Where the image begins.
-const START: u32 = 0x0800_0000;
+/// Where the image begins (`build.rs`).
+const START: u32 = include!(concat!(env!("OUT_DIR"), "/start.in"));
 /// Words a turn: 1 KB every 10 ms, so that an image of 112 KB has its turn every 1.1 s.
 const PIECE: u32 = 256;
 /// The unit's polynomial; it begins with ones and takes the highest bit first.

@@ -30,6 +30,8 @@ mod lamp;
 mod last_words;
 mod linear_inputs;
 mod mpu;
+#[cfg(feature = "slots")]
+mod own_slot;
 mod panic;
 mod ram_test;
 mod registers;
@@ -40,6 +42,9 @@ mod self_test;
 mod serial;
 mod serial_dma;
 mod service_switch;
+#[cfg(feature = "slots")]
+#[path = "../../bin/boot/flash.rs"]
+mod slot_flash;
 mod stack;
 mod stopwatch;
 mod store;
@@ -63,6 +68,8 @@ pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
 pub use lamp::Lamp;
+#[cfg(feature = "slots")]
+pub use own_slot::OwnSlot;
 pub use rs485::{Rs485, Silence};
 pub use sampling::Samples;
 pub use self_test::SelfTest;

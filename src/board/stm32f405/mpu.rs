@@ -77,6 +77,25 @@ pub fn protect(mpu: &MPU) {
     asm::isb();
 }
 
+/// Does `work`, which may write to the records of the firmware slots.
+#[cfg(feature = "slots")]
+#[allow(unsafe_code, reason = "registers of the core")]
+pub fn with_records<R>(work: impl FnOnce() -> R) -> R {
+    /// 32 KB: sectors 2 and 3.
+    const RECORDS: Region = Region {
+        number: 5,
+        start: trueup_boot::layout::RECORDS_START,
+        log2_size: 15,
+        attributes: READ | NO_RUN,
+    };
+    // SAFETY: as for the store: this region is changed only here, and by one task.
+    let mpu = unsafe { &*MPU::PTR };
+    Region { attributes: WRITE | NO_RUN, ..RECORDS }.set(mpu);
+    let result = work();
+    RECORDS.set(mpu);
+    result
+}
+
 /// Does `work`, which may write to the store.
 #[allow(unsafe_code, reason = "registers of the core")]
 pub fn with_store<R>(work: impl FnOnce() -> R) -> R {
