@@ -311,7 +311,7 @@ impl<'a> Bridge<'a> {
         // As many items have no term as there are parts: one a millisecond.
         state.heat.learned.step(item);
         let temperatures = state.channels.temperatures();
-        state.heat.step_item(&self.calibration, item, &temperatures, speed);
+        state.heat.step_item_of_readings(&self.calibration, item, &temperatures, speed);
         if let Some(axis) = LinearAxis::ALL.get(item) {
             self.warmed(state, *axis);
         } else if let Some(term) = item.checked_sub(heat::FIRST_TERM)

@@ -90,13 +90,36 @@ impl Heat {
         }
     }
 
-    /// One item of a step. A temperature that is missing leaves its part as it is.
+    /// One item of a step by the laws alone. A temperature that is missing leaves its part as it is.
     pub fn step_item(
         &mut self,
         calibration: &Calibration<'_>,
         item: usize,
         temperatures: &[Option<Temperature>; CHANNELS],
         speed: Option<Rpm>,
+    ) {
+        self.step_part(calibration, item, temperatures, speed, SmoothingFactor::NO_LAG);
+    }
+
+    /// One item of a step with temperatures as converters deliver them, in steps and with noise: as [`Self::step_item`],
+    /// and no axis follows faster than by 1 s.
+    pub fn step_item_of_readings(
+        &mut self,
+        calibration: &Calibration<'_>,
+        item: usize,
+        temperatures: &[Option<Temperature>; CHANNELS],
+        speed: Option<Rpm>,
+    ) {
+        self.step_part(calibration, item, temperatures, speed, FASTEST_AXIS);
+    }
+
+    fn step_part(
+        &mut self,
+        calibration: &Calibration<'_>,
+        item: usize,
+        temperatures: &[Option<Temperature>; CHANNELS],
+        speed: Option<Rpm>,
+        fastest: SmoothingFactor,
     ) {
         if let (Some(heat), Some(axis)) = (self.axes.get_mut(item), calibration.axes.get(item)) {
             if let Some(thermal) = &axis.thermal
@@ -105,8 +128,7 @@ impl Heat {
                 let lagged = step_lag(
                     &mut heat.lag,
                     temperature,
-                    [thermal.smoothing, thermal.smoothing_falling]
-                        .map(|it| it.at_most(FASTEST_AXIS)),
+                    [thermal.smoothing, thermal.smoothing_falling].map(|it| it.at_most(fastest)),
                 );
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
                 let has_memory =
@@ -370,7 +392,7 @@ mod tests {
         let mut at = |temperature: i32| {
             let mut temperatures = [None; CHANNELS];
             temperatures[0] = Some(Temperature(temperature));
-            heat.step(&calibration, &temperatures, None);
+            heat.step_item_of_readings(&calibration, 2, &temperatures, None);
             heat.axis(2).0.0
         };
         // A lag would begin at the first temperature; so does this.
@@ -379,7 +401,7 @@ mod tests {
             let mut other = Heat::default();
             let mut temperatures = [None; CHANNELS];
             temperatures[0] = Some(Temperature(STEP));
-            other.step(&calibration, &temperatures, None);
+            other.step_item_of_readings(&calibration, 2, &temperatures, None);
             other.axis(2).0.0
         };
         let of_a_step = high - low;
