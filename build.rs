@@ -77,7 +77,7 @@ impl Place {
             memory = fs::read_to_string(MEMORY).expect("it is part of the package");
         }
         if has_feature("STM32F405") {
-            memory += &fs::read_to_string(GUARD).expect("it stands beside the board");
+            memory += &fs::read_to_string(GUARD).expect("it is next to the board");
         }
         memory
     }

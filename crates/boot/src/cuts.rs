@@ -26,7 +26,7 @@ use crate::{
     update::{Update, confirm},
 };
 
-/// What becomes of the new image.
+/// Fate of the new image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Story {
     /// It is confirmed.
@@ -35,7 +35,7 @@ enum Story {
     Crashes,
 }
 
-/// What the board has said or done, and must stand by.
+/// Statements and acts of the board that have to hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Promised {
     /// The update was acknowledged.
@@ -175,7 +175,7 @@ impl Board {
         panic!("the story has no end: {:?}", self.context)
     }
 
-    /// What the board has promised still holds after three more power cycles.
+    /// Checks that each promise of the board holds after three more power cycles.
     fn rest(&mut self) {
         for _ in 0..3 {
             let supply = Supply::of(usize::MAX);

@@ -42,7 +42,7 @@ impl Graph {
 struct Reader<'a> {
     function: &'a Function,
     code: BTreeMap<u32, Instruction>,
-    /// What a jump by table leads to.
+    /// Targets of a jump by table.
     tables: BTreeMap<u32, Vec<u32>>,
 }
 

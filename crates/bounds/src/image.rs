@@ -34,7 +34,7 @@ pub struct Image {
     functions: BTreeMap<u32, Function>,
     /// Stretches of code (false) and data (true) among it, by the mapping symbols.
     data: BTreeMap<u32, bool>,
-    /// What the flash holds: address and bytes.
+    /// Content of the flash: address and bytes.
     segments: Vec<(u32, Vec<u8>)>,
     symbols: BTreeMap<String, u32>,
     source: Option<Context<EndianRcSlice<LittleEndian>>>,

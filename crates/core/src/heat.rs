@@ -62,6 +62,10 @@ pub struct Heat {
 /// screw warms by 1 K/min.
 const FASTEST_AXIS: SmoothingFactor = SmoothingFactor::ONE_SECOND;
 
+/// What is farther from the smoothed value is no noise, and is followed at once: half a kelvin, as in
+/// [`thermal_rate`](crate::thermal_rate). So the first result of a converter, which may be far off, does not linger.
+const MOST_NOISE: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
+
 /// The remainder of an error of heat at which the heat counts as known: 1 µm.
 const LEFT_NM: i64 = 1_000;
 
@@ -125,14 +129,17 @@ impl Heat {
             if let Some(thermal) = &axis.thermal
                 && let Some(temperature) = channel(temperatures, thermal.channel)
             {
+                let has_memory =
+                    [thermal.smoothing, thermal.smoothing_falling] != [SmoothingFactor::NO_LAG; 2];
+                if !has_memory && heat.lag.is_some_and(|lag| is_beyond_noise(lag, temperature)) {
+                    heat.lag = None;
+                }
                 let lagged = step_lag(
                     &mut heat.lag,
                     temperature,
                     [thermal.smoothing, thermal.smoothing_falling].map(|it| it.at_most(fastest)),
                 );
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
-                let has_memory =
-                    [thermal.smoothing, thermal.smoothing_falling] != [SmoothingFactor::NO_LAG; 2];
                 if self.unknown_steps == 0 || !has_memory {
                     self.known.insert(item);
                 }
@@ -319,6 +326,10 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
     temperatures.get(usize::from(number)).copied().flatten()
 }
 
+fn is_beyond_noise(smoothed: Lag, temperature: Temperature) -> bool {
+    smoothed.value().abs_diff(temperature.0) > MOST_NOISE
+}
+
 /// Moves a lag one step. Returns the lagged temperature; a lag starts settled at the first temperature that it sees.
 fn step_lag(
     lag: &mut Option<Lag>,
@@ -410,7 +421,11 @@ mod tests {
         let settled: Vec<i32> = moved.skip(500).collect();
         let range = settled.iter().max().unwrap() - settled.iter().min().unwrap();
         assert!(range * 5 < of_a_step, "{range} of {of_a_step}");
+        // A first result that is far off is gone with the next one.
+        at(-100 * Temperature::PER_KELVIN);
+        assert_eq!(at(STEP), high);
         // What stays is followed: e⁻¹⁰ is left after ten seconds.
+        at(0);
         let reached = (0..100).map(|_| at(STEP)).last().unwrap();
         assert!((high - reached).abs() <= 1 + of_a_step / 10_000, "{reached} of {high}");
     }
