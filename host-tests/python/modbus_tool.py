@@ -28,7 +28,8 @@ def main():
             last.append(said["offset_um"])
             before, now = last[-40], last[-1]
             is_still = before is not None and all(abs(a - b) < SETTLED_UM for a, b in zip(before, now))
-            return said["quality"] == LIVE and is_still
+            # The state comes in turn with the other items of the status: it may be of the time before.
+            return said["quality"] == LIVE and said["state"] == 0 and is_still
 
         # A frame of it goes out at most every 50 ms.
         end = time.monotonic() + 0.3
