@@ -7,6 +7,7 @@ use rsemu::core::space::{
     AccessConstraints, AddressSpace, MappingId, MemAttrs, MemOps, MemResult, Perms, RamStore,
     Region,
 };
+use rsemu::core::value::Width;
 use rsemu::cpu::arm::v7m::{ArmV7m, Config, sys::Exception};
 use std::fmt;
 use std::sync::Arc;
@@ -24,6 +25,9 @@ const SYSTEM_SIZE: u64 = 0x1_0000;
 /// Where the peripherals are: base and length.
 const PERIPHERALS: [(u32, u64); 3] =
     [(0x4000_0000, 0x8_0000), (0x5000_0000, 0x6_1000), (0xe004_2000, 0x400)];
+
+/// The bits of xPSR that hold the state of an IT block (Armv7-M, B1.4.2).
+const IT_STATE: u32 = 0x0600_fc00;
 
 /// Exceptions that no unit of the chip raises while its lines are not used, but its program does: name and number (Armv7-M,
 /// B1.5.2; RM0090 table 62).
@@ -233,10 +237,40 @@ impl Processor {
         self.bus_faults = 0;
     }
 
-    /// Executes one instruction or one exception. Returns its cycles.
+    /// Executes one instruction or one exception. Returns where it was, and its cycles.
     #[must_use]
-    pub fn step(&self) -> u64 {
-        self.core.step()
+    pub fn step(&self) -> (u32, u64) {
+        let before = self.core.regs();
+        let cycles = self.core.step();
+        let (pc, it_state) = (before.r[15], before.xpsr & IT_STATE);
+        if it_state != 0 {
+            self.stack_it_state(pc, it_state);
+        }
+        (pc, cycles)
+    }
+
+    /// Puts the state of an IT block into the frame of an exception that has come before the instruction at `pc`. 0.0.7 of the
+    /// crate takes it from there at the return and does not put it in: the rest of the block would have no condition
+    /// (Armv7-M, B1.5.6).
+    fn stack_it_state(&self, pc: u32, it_state: u32) {
+        const RETURN_ADDRESS: u32 = 24;
+        const XPSR: u32 = 28;
+        const PROCESS_STACK: u32 = 1 << 2;
+        let after = self.core.regs();
+        let exc_return = after.r[14];
+        if after.exception() == Exception::THREAD || exc_return >> 28 != 0xf {
+            return;
+        }
+        let frame = if exc_return & PROCESS_STACK == 0 { after.msp } else { after.psp };
+        let attributes = MemAttrs::DEFAULT;
+        let read = |offset: u32| self.space.read(u64::from(frame + offset), Width::U32, attributes);
+        // Otherwise the instruction was done: a return into an outer handler, or the last of its block.
+        if read(RETURN_ADDRESS) == Ok(pc.into())
+            && let Ok(stacked) = read(XPSR)
+        {
+            let whole = stacked | u64::from(it_state);
+            let _ = self.space.write(u64::from(frame + XPSR), Width::U32, whole, attributes);
+        }
     }
 
     /// Has it go on at another place, as an upset would.
@@ -259,13 +293,6 @@ impl Processor {
     #[must_use]
     pub fn is_masked(&self) -> bool {
         self.core.regs().primask
-    }
-
-    /// Returns whether the next instruction belongs to an IT block. 0.0.7 of the crate stacks xPSR without
-    /// ITSTATE: an interrupt there would make the rest of the block unconditional.
-    #[must_use]
-    pub fn is_in_it_block(&self) -> bool {
-        self.core.regs().xpsr & 0x0600_fc00 != 0
     }
 
     /// Returns whether each exception of [`PENDED`] is pending: raised, and its handler not yet begun.
@@ -371,5 +398,56 @@ impl Processor {
             }));
         }
         said
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Nobody;
+
+    impl Peripherals for Nobody {
+        fn read(&self, _: u32, _: u32) -> u32 {
+            0
+        }
+
+        fn write(&self, _: u32, _: u32, _: u32) {}
+
+        fn program(&self, _: u32, _: &[u8]) {}
+    }
+
+    /// A loop around an IT block whose four instructions must not be done, and SysTick, which comes at each place of it.
+    #[test]
+    fn an_exception_within_an_it_block_leaves_the_condition_of_the_rest() {
+        const PROGRAM: [u16; 11] = [
+            0x2001, // movs r0, #1
+            0x2100, // movs r1, #0
+            0x2200, // movs r2, #0
+            0x2800, // loop: cmp r0, #0
+            0xbf01, // itttt eq
+            0x3101, 0x3101, 0x3101, 0x3101, // addeq r1, #1
+            0x3201, // adds r2, #1
+            0xe7f7, // b loop
+        ];
+        const HANDLER: [u16; 2] = [0x3401, 0x4770]; // adds r4, #1; bx lr
+        let memories = Memories::new();
+        let put = |at: u64, bytes: &[u8]| memories.flash.write_at(at, bytes).expect("within");
+        let words =
+            |halves: &[u16]| halves.iter().flat_map(|it| it.to_le_bytes()).collect::<Vec<_>>();
+        put(0, &0x2000_1000_u32.to_le_bytes());
+        put(4, &0x101_u32.to_le_bytes());
+        put(15 * 4, &0x141_u32.to_le_bytes());
+        put(0x100, &words(&PROGRAM));
+        put(0x140, &words(&HANDLER));
+        let processor = Processor::new(&memories, Arc::new(Nobody));
+        let _ = processor.step();
+        processor.core.with_sys(|system| (system.syst_rvr, system.syst_csr) = (40, 0b111));
+        for _ in 0..20_000 {
+            let _ = processor.step();
+        }
+        let [_, done, rounds, _, ticks, ..] = processor.core.regs().r;
+        assert!(rounds > 500 && ticks > 500, "{rounds} rounds, {ticks} exceptions");
+        assert_eq!(done, 0, "instructions whose condition does not hold, in {rounds} rounds");
     }
 }

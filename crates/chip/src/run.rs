@@ -223,8 +223,8 @@ impl Board {
     /// Runs until that time, in ticks since power-on.
     pub fn run_until(&mut self, end: u64) {
         while self.now < end {
-            let (pc, began) = (self.processor.pc(), self.now);
-            let cycles = self.processor.step();
+            let began = self.now;
+            let (pc, cycles) = self.processor.step();
             self.steps += 1;
             self.pass(cycles);
             if let Some(offset) = pc.checked_sub(FLASH).filter(|at| u64::from(*at) < FLASH_SIZE) {
@@ -239,7 +239,7 @@ impl Board {
                 let is_active = |it| self.processor.is_active(it);
                 self.turns.step(exception, pc, self.now - began, self.now, is_active);
             }
-            if self.now >= self.shared.next.load(Relaxed) && !self.processor.is_in_it_block() {
+            if self.now >= self.shared.next.load(Relaxed) {
                 self.advance();
             }
             self.ones = if cycles == 1 { self.ones + 1 } else { 0 };
@@ -344,7 +344,7 @@ impl Board {
     }
 
     fn after_step(&mut self) {
-        if self.upset.0 > 0 && self.now >= self.upset.0 && !self.processor.is_in_it_block() {
+        if self.upset.0 > 0 && self.now >= self.upset.0 {
             self.processor.upset(self.upset.1);
             self.upset = (0, 0);
         }
