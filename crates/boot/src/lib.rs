@@ -10,7 +10,7 @@
 //!
 //! `layout` has these places once, `header` the 512 bytes in front of an image, `inspect` whether a slot holds
 //! an image that may run, `record` the state of the slots and `journal` its way into the flash, `start` the
-//! decision, `update` the way of a new image into the spare slot and its confirmation, `key` the signature.
+//! decision, `update` the way of a new image into the spare slot and its confirmation, `refusal` why one is refused, `key` the signature.
 //!
 //! # An update
 //!
@@ -44,6 +44,7 @@ pub mod journal;
 pub mod key;
 pub mod layout;
 pub mod record;
+pub mod refusal;
 pub mod start;
 #[cfg(test)]
 mod testing;

@@ -58,7 +58,9 @@ impl Status {
         !matches!(self, Self::Loading | Self::Rejected)
     }
 
-    const fn encode(self) -> [u8; 2] {
+    /// Returns status and starts, as they are stored and as object 0x2121 has them.
+    #[must_use]
+    pub const fn encode(self) -> [u8; 2] {
         match self {
             Self::New => [0, 0],
             Self::Loading => [1, 0],
@@ -70,7 +72,9 @@ impl Status {
         }
     }
 
-    const fn decode([status, starts]: [u8; 2]) -> Option<Self> {
+    /// Returns the status of these bytes; `None`: it is of a later version.
+    #[must_use]
+    pub const fn decode([status, starts]: [u8; 2]) -> Option<Self> {
         Some(match status {
             0 => Self::New,
             1 => Self::Loading,

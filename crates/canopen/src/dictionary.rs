@@ -30,6 +30,8 @@ pub const FORGET: u32 = u32::from_le_bytes(*b"zero");
 pub const BACK: u32 = u32::from_le_bytes(*b"back");
 /// Number that, written to 0x2100:05, drops the calibration that was loaded for the next start: the bytes `drop`.
 pub const DROP: u32 = u32::from_le_bytes(*b"drop");
+/// Bytes of the header of a firmware file.
+pub const FIRMWARE_HEADER: usize = 512;
 /// Sub-index of the elongation among the analogue inputs.
 pub const ELONGATION_INPUT: u8 = 9;
 const _: () = assert!(CHANNELS == 8 && HISTORY == 8, "the table has eight lines of each");
@@ -178,6 +180,24 @@ pub enum ObjectKind {
     NewCrc,
     /// Writing [`DROP`] drops the blob for the next start.
     DropNew,
+    /// The header of a new firmware, [`FIRMWARE_HEADER`] bytes: it is checked, and the other slot is erased.
+    FirmwareHeader,
+    /// The bytes behind those that have come; with the last one it is verified, and starts next.
+    FirmwareImage,
+    /// Bytes of a new firmware that have come, the header included; 0: none is under way.
+    FirmwareReceived,
+    /// The tag of the firmware under way, the last word of its header; 0: none is.
+    FirmwareTag,
+    /// Why the last one was refused, a number of the board's; 0: none was.
+    FirmwareRefused,
+    /// The firmware slot that runs: 0 A, 1 B.
+    RunningSlot,
+    /// The version in a slot, 0 A, 1 B: major, minor, patch, build, a byte each from the highest; 0: none.
+    SlotVersion(u8),
+    /// The state of a slot: status in the lower byte, starts on trial in the upper one.
+    SlotStatus(u8),
+    /// The oldest version that may start.
+    FirmwareFloor,
     /// The last writes to the board.
     WriteLog,
     /// Seconds since 1970 (UTC); 0: the time was never set.

@@ -60,13 +60,13 @@ pub trait Objects {
     ///
     /// # Errors
     /// Why they are not taken.
-    fn append(&mut self, bytes: &[u8]) -> Result<(), Abort>;
+    fn append(&mut self, what: ObjectKind, bytes: &[u8]) -> Result<(), Abort>;
 
     /// It has come whole, and is now looked at; [`Server::end`] will say what came of it.
     ///
     /// # Errors
     /// Why it is not taken.
-    fn close(&mut self) -> Result<(), Abort>;
+    fn close(&mut self, what: ObjectKind) -> Result<(), Abort>;
 }
 
 /// Object of a transfer: index and sub-index.
@@ -278,7 +278,7 @@ impl Server {
             return Err(Abort::Length);
         }
         match entry.kind.size() {
-            None => objects.append(part)?,
+            None => objects.append(entry.what, part)?,
             Some(most) if incoming.length > most => return Err(Abort::Length),
             Some(_) => {
                 let places = incoming.number.iter_mut().skip(begin);
@@ -296,7 +296,7 @@ impl Server {
             Some(size) if incoming.length != size => return Err(Abort::Length),
             Some(size) => objects.write(entry.what, number_of(incoming.number, size))?,
             None => {
-                objects.close()?;
+                objects.close(entry.what)?;
                 self.phase = Phase::Waiting { at, toggle };
                 return Ok(None);
             }

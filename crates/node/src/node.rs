@@ -40,6 +40,7 @@ use trueup_store::{
 use crate::{shown::ShownValues, start::Start};
 
 mod faults;
+pub mod firmware;
 mod learned;
 mod master;
 mod network;
@@ -53,6 +54,7 @@ mod supply;
 mod switch;
 mod writes;
 
+use firmware::Firmware;
 pub use master::Line;
 use master::Master;
 use registers::Registers;
@@ -105,6 +107,7 @@ pub struct Node<'a> {
     new_crc: u32,
     /// A master has asked to drop it.
     drops_new: bool,
+    firmware: Firmware,
     /// Who has written.
     log: Log,
     noise: Noise,
@@ -166,6 +169,7 @@ impl<'a> Node<'a> {
             slot: Slot::None,
             new_crc: 0,
             drops_new: false,
+            firmware: Firmware::default(),
             log: Log::default(),
             noise: Noise::default(),
             until_status_ms: 0,
@@ -451,6 +455,8 @@ mod tests;
 pub(crate) use example::tests_calibration;
 #[cfg(test)]
 mod conditions_tests;
+#[cfg(test)]
+mod firmware_tests;
 #[cfg(test)]
 mod learned_tests;
 #[cfg(test)]

@@ -43,6 +43,10 @@ const fn record(index: u16, name: &'static str, entries: &'static [Entry]) -> Ob
     Object { index, name, shape: Shape::Record, entries }
 }
 
+const fn load(subindex: u8, name: &'static str, what: ObjectKind) -> Entry {
+    Entry { subindex, name, kind: Type::Domain, access: Access::Write, what, default: None }
+}
+
 const fn text(name: &'static str, characters: &'static str) -> Entry {
     let (kind, access, what) = (Type::Text, Access::Constant, ObjectKind::Text(characters));
     Entry { subindex: 0, name, kind, access, what, default: None }
@@ -346,6 +350,31 @@ pub const OBJECTS: &[Object] = &[
             count(2),
             read(1, "The last writes (24 bytes each)", Type::Domain, ObjectKind::WriteLog),
             set(2, "Time of day in s since 1970 (UTC)", Type::U32, ObjectKind::Utc, 0),
+        ],
+    ),
+    record(
+        0x2120,
+        "New firmware",
+        &[
+            count(5),
+            load(1, "Header (erases the other slot)", ObjectKind::FirmwareHeader),
+            load(2, "Image, from the bytes that have come on", ObjectKind::FirmwareImage),
+            read(3, "Bytes that have come", Type::U32, ObjectKind::FirmwareReceived),
+            read(4, "Tag of the firmware under way", Type::U32, ObjectKind::FirmwareTag),
+            read(5, "Why the last one was refused", Type::U8, ObjectKind::FirmwareRefused),
+        ],
+    ),
+    record(
+        0x2121,
+        "Firmware slots",
+        &[
+            count(6),
+            read(1, "Slot that runs (0 A, 1 B)", Type::U8, ObjectKind::RunningSlot),
+            read(2, "Version in A", Type::U32, ObjectKind::SlotVersion(0)),
+            read(3, "Version in B", Type::U32, ObjectKind::SlotVersion(1)),
+            read(4, "Status of A, and its starts", Type::U16, ObjectKind::SlotStatus(0)),
+            read(5, "Status of B, and its starts", Type::U16, ObjectKind::SlotStatus(1)),
+            read(6, "Oldest version that may start", Type::U32, ObjectKind::FirmwareFloor),
         ],
     ),
     array(0x6131, "AI physical unit process value", inputs!(celsius, micrometres)),

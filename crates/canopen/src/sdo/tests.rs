@@ -41,12 +41,12 @@ impl Objects for Fake {
         if size.is_some_and(|size| size as usize > MOST) { Err(Abort::TooLong) } else { Ok(()) }
     }
 
-    fn append(&mut self, bytes: &[u8]) -> Result<(), Abort> {
+    fn append(&mut self, _: ObjectKind, bytes: &[u8]) -> Result<(), Abort> {
         self.domain.extend(bytes);
         if self.domain.len() > MOST { Err(Abort::TooLong) } else { Ok(()) }
     }
 
-    fn close(&mut self) -> Result<(), Abort> {
+    fn close(&mut self, _: ObjectKind) -> Result<(), Abort> {
         Ok(())
     }
 }

@@ -126,7 +126,17 @@ impl Node<'_> {
             ObjectKind::ReferenceUtc => self.offer.taken().map_or(0, |write| write.utc_s),
             ObjectKind::ReferenceOrigin => self.offer.origin().into(),
             ObjectKind::ReferenceAge => self.reference_age_s().unwrap_or(u32::MAX),
-            ObjectKind::Forget | ObjectKind::DropNew => return Err(Abort::WriteOnly),
+            ObjectKind::FirmwareReceived
+            | ObjectKind::FirmwareTag
+            | ObjectKind::FirmwareRefused
+            | ObjectKind::RunningSlot
+            | ObjectKind::SlotVersion(_)
+            | ObjectKind::SlotStatus(_)
+            | ObjectKind::FirmwareFloor => self.firmware.number(what)?,
+            ObjectKind::Forget
+            | ObjectKind::DropNew
+            | ObjectKind::FirmwareHeader
+            | ObjectKind::FirmwareImage => return Err(Abort::WriteOnly),
             ObjectKind::Text(_)
             | ObjectKind::Running
             | ObjectKind::New
@@ -229,17 +239,28 @@ impl Objects for Node<'_> {
         Ok(())
     }
 
-    fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
+    fn open(&mut self, what: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
         self.allow_change()?;
-        self.slot.open(size).map_err(abort)
+        match what {
+            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => {
+                self.open_firmware(what, size)
+            }
+            _ => self.slot.open(size).map_err(abort),
+        }
     }
 
-    fn append(&mut self, bytes: &[u8]) -> Result<(), Abort> {
-        self.slot.append(bytes).map_err(abort)
+    fn append(&mut self, what: ObjectKind, bytes: &[u8]) -> Result<(), Abort> {
+        match what {
+            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => self.append_firmware(bytes),
+            _ => self.slot.append(bytes).map_err(abort),
+        }
     }
 
-    fn close(&mut self) -> Result<(), Abort> {
+    fn close(&mut self, what: ObjectKind) -> Result<(), Abort> {
         self.allow_change()?;
+        if matches!(what, ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage) {
+            return self.close_firmware();
+        }
         self.log.loads(!self.master.is_cnc());
         self.slot.close().map_err(abort)
     }

@@ -187,7 +187,7 @@ fn load(node: &mut Node<'_>) -> Write {
     let blob = encode(&calibration, &mut place).expect("small").to_vec();
     node.log.speaks(Line::Serial);
     node.open(O::New, None).expect("allowed");
-    node.append(&blob).and_then(|()| node.close()).expect("allowed");
+    node.append(O::New, &blob).and_then(|()| node.close(O::New)).expect("allowed");
     let mut load = node.take_load().expect("whole");
     load.check().expect("a calibration");
     node.end_load(load, Outcome::Stored);

@@ -98,7 +98,7 @@ mod tests {
             let mut node = in_service(true);
             assert_eq!(node.write(what, number), Err(Abort::LocalControl), "{what:?}");
             assert_eq!(node.open(ObjectKind::New, Some(4)), Err(Abort::LocalControl));
-            assert_eq!(node.close(), Err(Abort::LocalControl));
+            assert_eq!(node.close(ObjectKind::New), Err(Abort::LocalControl));
             let authority = node.read(ObjectKind::Authority);
             assert_eq!(authority, Ok(ObjectValue::Number(Authority::SwitchOpen as u32)));
             turn(&mut node, true);
@@ -116,7 +116,7 @@ mod tests {
         node.set_buffer(&mut buffer);
         let send = |node: &mut Node<'_>| {
             node.open(ObjectKind::New, Some(4))?;
-            node.append(&[1, 2, 3, 4])
+            node.append(ObjectKind::New, &[1, 2, 3, 4])
         };
         let restore = |node: &mut Node<'_>| -> Result<(), Abort> {
             node.write(ObjectKind::ReferenceElongation, 5)?;
@@ -127,14 +127,17 @@ mod tests {
         turn(&mut node, true);
         assert_eq!(send(&mut node), Ok(()));
         turn(&mut node, false);
-        assert_eq!((node.close(), node.take_load().is_some()), (Err(Abort::LocalControl), false));
+        assert_eq!(
+            (node.close(ObjectKind::New), node.take_load().is_some()),
+            (Err(Abort::LocalControl), false)
+        );
 
         let reset = Frame::new(NMT_ID, &[0x81, 1]).expect("short");
         for is_closed in [false, true, false] {
             turn(&mut node, is_closed);
             let expected = if is_closed { Ok(()) } else { Err(Abort::LocalControl) };
             assert_eq!(restore(&mut node), expected);
-            assert_eq!(send(&mut node).and_then(|()| node.close()), expected);
+            assert_eq!(send(&mut node).and_then(|()| node.close(ObjectKind::New)), expected);
             assert_eq!(node.take_load().is_some(), is_closed);
             node.hear(Line::Can, &reset).expect("no request");
             assert_eq!(node.take_restart(), is_closed);

@@ -1,7 +1,10 @@
 //! Tests of a node as a CANopen master sees it: its heartbeat, emergencies, objects, and a calibration.
 
 use super::*;
-use crate::start::{Start, Stop};
+use crate::{
+    node::firmware::Slots,
+    start::{Start, Stop},
+};
 use std::{boxed::Box, vec, vec::Vec};
 use trueup_canopen::{
     dictionary::{Access, FORGET, OBJECTS, Type},
@@ -115,6 +118,7 @@ fn whole<'a>(blob: &'a [u8], buffer: &'a mut [u8]) -> Node<'a> {
     let mut node = Node::new(Some(tests_calibration()), false);
     node.set_blob(blob);
     node.set_buffer(buffer);
+    node.note_slots(Slots::default());
     node
 }
 

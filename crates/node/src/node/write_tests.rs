@@ -130,8 +130,8 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
     node.write(O::Utc, 1_790_000_000).expect("allowed");
     controls(&mut node, service, 100, &mut counter);
     node.log.speaks(Line::Can);
-    node.open(O::New, None).and_then(|()| node.append(&blob)).expect("allowed");
-    node.close().expect("allowed");
+    node.open(O::New, None).and_then(|()| node.append(O::New, &blob)).expect("allowed");
+    node.close(O::New).expect("allowed");
     let load = node.take_load().expect("whole");
     node.end_load(load, Outcome::Stored);
     node.set_standing(
@@ -157,7 +157,7 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
         assert_eq!(write.at_ms, node.now().0);
     }
     // A second load that is given up leaves the first for the next start, and says so.
-    node.open(O::New, None).and_then(|()| node.append(&[1, 2, 3])).expect("allowed");
+    node.open(O::New, None).and_then(|()| node.append(O::New, &[1, 2, 3])).expect("allowed");
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(crc)));
 }
 

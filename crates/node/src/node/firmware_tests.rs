@@ -1,0 +1,169 @@
+//! A new firmware through the object dictionary, to a board that the test plays.
+
+use std::vec::Vec;
+
+use trueup_canopen::{
+    dictionary::{FIRMWARE_HEADER, ObjectKind as O},
+    sdo::{Abort, ObjectValue, Objects as _},
+};
+use trueup_core::cnc::Control;
+use trueup_link::frames;
+
+use super::{
+    Line, Node,
+    firmware::{Slots, Step},
+    tests_calibration,
+};
+
+/// Returns a node at rest in slot B, whose CNC says `Service`.
+fn in_service<'a>() -> Node<'a> {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    let service = Control { service: true, ..Control::REFERENCED };
+    for counter in 0..4 {
+        node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+    }
+    let status = [[5, 0], [3, 2]];
+    node.note_slots(Slots { running: 1, versions: [0x0102_0300, 0x0102_0400], status, floor: 7 });
+    node
+}
+
+fn number(node: &Node<'_>, what: O) -> u32 {
+    match node.read(what) {
+        Ok(ObjectValue::Number(number)) => number,
+        other => panic!("{what:?}: {other:?}"),
+    }
+}
+
+fn header() -> [u8; FIRMWARE_HEADER] {
+    core::array::from_fn(|at| (at % 251) as u8)
+}
+
+/// Writes the header as a master does; the board takes it.
+fn begin(node: &mut Node<'_>) {
+    node.open(O::FirmwareHeader, Some(512)).expect("allowed");
+    for segment in header().chunks(7) {
+        node.append(O::FirmwareHeader, segment).expect("room");
+        assert_eq!(node.take_firmware(), None, "not before all of it has come");
+    }
+    node.close(O::FirmwareHeader).expect("whole");
+    let step = node.take_firmware().expect("a step");
+    assert_eq!(step, Step::Begin(header()));
+    assert_eq!(node.take_firmware(), None, "one at a time");
+    node.end_firmware(&step, Ok(()));
+}
+
+/// Has the board take what waits.
+fn drain(node: &mut Node<'_>, flash: &mut Vec<u8>) {
+    let step = node.take_firmware().expect("bytes wait");
+    let Step::Write(bytes) = &step else { panic!("{step:?}") };
+    flash.extend(bytes);
+    node.end_firmware(&step, Ok(()));
+}
+
+#[test]
+fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
+    let mut node = in_service();
+    assert_eq!([O::FirmwareReceived, O::FirmwareTag].map(|it| number(&node, it)), [0; 2]);
+    begin(&mut node);
+    let tag = header().last_chunk().map(|it| u32::from_le_bytes(*it));
+    assert_eq!(
+        (number(&node, O::FirmwareReceived), Some(number(&node, O::FirmwareTag))),
+        (512, tag)
+    );
+
+    let image: Vec<u8> = (0..2_000_u32).map(|at| (at % 241) as u8).collect();
+    let mut flash = Vec::new();
+    let (first, rest) = image.split_at(1_001);
+    node.open(O::FirmwareImage, None).expect("allowed");
+    for (turn, segment) in first.chunks(7).enumerate() {
+        node.append(O::FirmwareImage, segment).expect("room");
+        if turn % 5 == 0 {
+            drain(&mut node, &mut flash);
+        }
+    }
+    // The line breaks. What had come is kept, and the next transfer goes on behind it.
+    assert_eq!(number(&node, O::FirmwareReceived), 512 + 1_001);
+    node.open(O::FirmwareImage, Some(999)).expect("allowed");
+    for segment in rest.chunks(7) {
+        node.append(O::FirmwareImage, segment).expect("room");
+        drain(&mut node, &mut flash);
+    }
+    node.close(O::FirmwareImage).expect("whole");
+    let step = node.take_firmware().expect("a step");
+    assert_eq!(step, Step::Finish);
+    node.end_firmware(&step, Ok(()));
+    assert_eq!(flash, image);
+    assert_eq!((number(&node, O::FirmwareReceived), number(&node, O::FirmwareRefused)), (2_512, 0));
+}
+
+#[test]
+fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
+    let mut node = in_service();
+    node.open(O::FirmwareHeader, None).expect("allowed");
+    node.append(O::FirmwareHeader, &[0; 512]).expect("room");
+    node.close(O::FirmwareHeader).expect("whole");
+    let step = node.take_firmware().expect("a step");
+    node.end_firmware(&step, Err(9));
+    assert_eq!(number(&node, O::FirmwareRefused), 9);
+    assert_eq!(node.open(O::FirmwareImage, None), Err(Abort::DeviceState), "none is under way");
+    // The flash refuses in the middle: the next segment is refused, and it must begin anew.
+    begin(&mut node);
+    assert_eq!(number(&node, O::FirmwareRefused), 0);
+    node.open(O::FirmwareImage, None).expect("allowed");
+    node.append(O::FirmwareImage, &[1; 7]).expect("room");
+    let step = node.take_firmware().expect("a step");
+    node.end_firmware(&step, Err(11));
+    assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(Abort::Value));
+    assert_eq!([O::FirmwareReceived, O::FirmwareRefused].map(|it| number(&node, it)), [0, 11]);
+}
+
+#[test]
+fn a_header_of_another_length_and_too_many_bytes_at_once_are_refused() {
+    let mut node = in_service();
+    assert_eq!(node.open(O::FirmwareHeader, Some(511)), Err(Abort::Length));
+    node.open(O::FirmwareHeader, None).expect("allowed");
+    node.append(O::FirmwareHeader, &[0; 511]).expect("room");
+    assert_eq!(node.append(O::FirmwareHeader, &[0; 2]), Err(Abort::TooLong));
+    assert_eq!(node.close(O::FirmwareHeader), Err(Abort::TooShort));
+    assert_eq!(node.take_firmware(), None);
+    begin(&mut node);
+    node.open(O::FirmwareImage, None).expect("allowed");
+    node.append(O::FirmwareImage, &[0; 512]).expect("room");
+    // A board that does not take them: the master is to come back, and nothing is lost.
+    assert_eq!(node.append(O::FirmwareImage, &[0; 7]), Err(Abort::CannotStore));
+    assert_eq!(number(&node, O::FirmwareReceived), 1_024);
+}
+
+#[test]
+fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_without_slots_says_so()
+ {
+    let mut node = Node::new(Some(tests_calibration()), false);
+    assert_eq!(node.open(O::FirmwareHeader, None), Err(Abort::DeviceState));
+    assert_eq!(node.read(O::RunningSlot), Err(Abort::NoData));
+    let mut node = in_service();
+    begin(&mut node);
+    node.open(O::FirmwareImage, None).expect("allowed");
+    node.append(O::FirmwareImage, &[1; 7]).expect("room");
+    // The CNC ends its service: the next segment is refused.
+    for counter in 4..8 {
+        node.hear(Line::Can, &frames::control(Control::REFERENCED, counter)).expect("in order");
+    }
+    assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(Abort::DeviceState));
+    node.firmware = super::firmware::Firmware::default();
+    for counter in 8..12 {
+        let service = Control { service: true, ..Control::REFERENCED };
+        node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+    }
+    assert_eq!(node.open(O::FirmwareHeader, None), Err(Abort::CannotStore), "it has no slots");
+}
+
+#[test]
+fn the_slots_are_read_as_the_table_of_objects_has_them() {
+    let node = in_service();
+    let read = |what| number(&node, what);
+    assert_eq!(read(O::RunningSlot), 1);
+    assert_eq!([0, 1].map(|slot| read(O::SlotVersion(slot))), [0x0102_0300, 0x0102_0400]);
+    assert_eq!([0, 1].map(|slot| read(O::SlotStatus(slot))), [5, 0x0203]);
+    assert_eq!(read(O::FirmwareFloor), 7);
+    assert_eq!(node.read(O::FirmwareImage), Err(Abort::WriteOnly));
+}
