@@ -365,6 +365,15 @@ mod app {
             let is_stored = it.keep_running(blob);
             shared.node.lock(|node| node.end_drop(is_stored));
         }
+        #[cfg(feature = "slots")]
+        if let Some(step) = shared.node.lock(|node| node.take_firmware()) {
+            let outcome = it.update_firmware(&step);
+            let slots = it.slots();
+            shared.node.lock(|node| {
+                slots.into_iter().for_each(|slots| node.note_slots(slots));
+                node.end_firmware(&step, outcome);
+            });
+        }
         let bus = shared.can_out.lock(CanOut::state);
         shared.node.lock(|node| {
             node.note_if(bus.warning, Fault::CanWarning);
@@ -403,6 +412,10 @@ mod app {
         it.feed_watchdog(&turn, quality);
         if it.log_is_due() {
             it.retain(&shared.node.lock(|node| node.kept()));
+            #[cfg(feature = "slots")]
+            if let Some(slots) = it.slots() {
+                shared.node.lock(|node| node.note_slots(slots));
+            }
             shared.port.lock(|port| shared.node.lock(|node| supervision::log(node, port)));
         }
         rtic::pend(THERMOMETERS);

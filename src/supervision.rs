@@ -171,6 +171,18 @@ impl Supervision {
         self.own_slot.announce();
     }
 
+    /// Returns the state of the firmware slots; `None`: the image runs from none.
+    #[cfg(feature = "slots")]
+    pub fn slots(&mut self) -> Option<trueup_node::node::firmware::Slots> {
+        self.own_slot.state()
+    }
+
+    /// Does a step of an update; an error is the number of the refusal.
+    #[cfg(feature = "slots")]
+    pub fn update_firmware(&mut self, step: &trueup_node::node::firmware::Step) -> Result<(), u8> {
+        self.own_slot.update(step, &mut self.watchdog)
+    }
+
     /// Returns true once a second.
     pub fn log_is_due(&mut self) -> bool {
         self.until_log_ms = self.until_log_ms.saturating_sub(PERIOD_MS);

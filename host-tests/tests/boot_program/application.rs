@@ -6,7 +6,7 @@ use trueup_emulator::{setup, slots};
 use crate::board::{Board, GOOD, boot, file, has, version};
 
 /// Returns the file of the application for a slot.
-fn application(slot: Slot, minor: u8) -> Vec<u8> {
+pub fn application(slot: Slot, minor: u8) -> Vec<u8> {
     let machine = setup::root().join("data/paper_spindle.toml");
     let image = slots::build_application(slot, &machine).expect("it builds");
     let body = slots::body(&image, slot).expect("a body");

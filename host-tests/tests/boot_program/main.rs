@@ -5,5 +5,8 @@
 mod application;
 mod board;
 mod cuts;
+mod loads;
+#[path = "../support/sdo_script.rs"]
+mod sdo_script;
 mod starts;
 mod updates;

@@ -3,6 +3,8 @@
 //! that it has none.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
+#[path = "../support/sdo_script.rs"]
+mod sdo_script;
 #[path = "../support/mod.rs"]
 mod support;
 

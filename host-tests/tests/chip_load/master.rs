@@ -1,35 +1,15 @@
 //! A CANopen master by script: what it sends at which time, and what the board reports.
 
-/// From one request to the next; the bridge answers every 2 ms.
-const STEP_MS: f64 = 2.2;
+use crate::sdo_script::{download, questions as ask};
 
-/// Returns the frames that load a blob into object 0x2100:02, a segmented download (CiA 301, 7.2.4.3.3), and when the
-/// last was sent.
+/// Returns the frames that load a blob into object 0x2100:02, and when the last was sent.
 pub fn load(blob: &[u8], from_ms: f64) -> (String, f64) {
-    let count = blob.chunks(7).count();
-    let size = hex(&(blob.len() as u32).to_le_bytes());
-    let mut script = format!("{from_ms} frame 601 21002102{size}\n");
-    let mut at = from_ms;
-    for (number, part) in blob.chunks(7).enumerate() {
-        at += STEP_MS;
-        let head = (number & 1) << 4 | (7 - part.len()) << 1 | usize::from(number + 1 == count);
-        let mut data = vec![head as u8];
-        data.extend(part);
-        data.resize(8, 0);
-        script += &format!("{at:.1} frame 601 {}\n", hex(&data));
-    }
-    (script, at)
+    download((0x2100, 2), blob, from_ms)
 }
 
 /// Returns what it runs on, what it has for the next start, and its state bits.
 pub fn questions(from_ms: f64) -> String {
-    let objects = ["40002103", "40002104", "40012006"];
-    let asked = objects.iter().enumerate();
-    asked.map(|(n, it)| format!("{} frame 601 {it}00000000\n", from_ms + 4.0 * n as f64)).collect()
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    ask(&[(0x2100, 3), (0x2100, 4), (0x2001, 6)], from_ms)
 }
 
 /// Reports of the board, with the times in ms.

@@ -66,12 +66,7 @@ impl BrownOut {
     pub fn turn(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
         self.turns = if gives_offset { 0 } else { self.turns + 1 };
         if self.is_due && self.turns >= TURNS {
-            watchdog.loosen();
-            // Until it counts by the new limit.
-            cortex_m::asm::delay(MILLISECOND);
-            watchdog.feed();
-            self.raise();
-            watchdog.tighten();
+            watchdog.loosened(|| self.raise());
         }
     }
 }

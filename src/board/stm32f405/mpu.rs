@@ -5,6 +5,7 @@
 //! | 0x0000_0000, 128 MB | nothing | a null pointer is no memory |
 //! | flash, the image | read and run | the image is never written |
 //! | flash, the store | read | nothing but [`with_store`] writes to it |
+//! | flash, the other firmware slot, its records | read | nothing but an update writes to it |
 //! | RAM | read and written | data are never run |
 //! | 8 KB below the stack | nothing | a stack that overflows stops before it reaches a variable |
 //!
@@ -77,22 +78,44 @@ pub fn protect(mpu: &MPU) {
     asm::isb();
 }
 
+/// The records of the firmware slots: sectors 2 and 3.
+#[cfg(feature = "slots")]
+const RECORDS: Region = Region {
+    number: 5,
+    start: trueup_boot::layout::RECORDS_START,
+    log2_size: 15,
+    attributes: READ | NO_RUN,
+};
+
 /// Does `work`, which may write to the records of the firmware slots.
 #[cfg(feature = "slots")]
 #[allow(unsafe_code, reason = "registers of the core")]
 pub fn with_records<R>(work: impl FnOnce() -> R) -> R {
-    /// 32 KB: sectors 2 and 3.
-    const RECORDS: Region = Region {
-        number: 5,
-        start: trueup_boot::layout::RECORDS_START,
-        log2_size: 15,
-        attributes: READ | NO_RUN,
-    };
     // SAFETY: as for the store: this region is changed only here, and by one task.
     let mpu = unsafe { &*MPU::PTR };
     Region { attributes: WRITE | NO_RUN, ..RECORDS }.set(mpu);
     let result = work();
     RECORDS.set(mpu);
+    result
+}
+
+/// Does `work`, which may write to the slot that does not run, and to the records.
+#[cfg(feature = "slots")]
+#[allow(unsafe_code, reason = "registers of the core")]
+pub fn with_slot<R>(spare: trueup_boot::layout::Slot, work: impl FnOnce() -> R) -> R {
+    use trueup_boot::layout::{FLASH_START, Slot};
+    /// Eighths of 32 KB that do not belong to the region: boot program and records lie below slot A.
+    const WITHOUT_BOOT: u32 = 0b11 << 8;
+    let (start, without) = match spare {
+        Slot::A => (FLASH_START, WITHOUT_BOOT),
+        Slot::B => (Slot::B.start(), 0),
+    };
+    let slot = |attributes| Region { number: 6, start, log2_size: 18, attributes };
+    // SAFETY: as for the store; nothing that runs lies in this slot.
+    let mpu = unsafe { &*MPU::PTR };
+    slot(WRITE | NO_RUN | without).set(mpu);
+    let result = with_records(work);
+    slot(READ | NO_RUN | without).set(mpu);
     result
 }
 

@@ -1,20 +1,31 @@
-//! The firmware slot that this image runs from: its confirmation, and resets of its own (`trueup_boot`).
+//! The firmware slot that this image runs from: its confirmation, resets of its own, and a new image for the other slot
+//! (`trueup_boot`).
 //!
 //! An image is confirmed by a minute of offsets in a row after an engage. The state goes into sectors 2 and 3, of
 //! which the boot program has left room for: 16 words, 0.3 ms in which the core stands still, 1.6 ms at most; nothing
 //! is erased.
+//!
+//! A new image is written at rest alone. The core stands still for up to 4 s while the other slot is erased: no sample, no
+//! frame and no heartbeat meanwhile. Each part of 256 bytes takes 1 ms, 6.4 ms at most, in pieces of a word.
 
 use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
     header::Version,
-    inspect::{Image, read_header},
+    inspect::{Defect, Image, read_header},
     journal::Journal,
+    key::PublicKey,
+    layout::Slot,
     record::Status,
-    update::{announce, confirm, slot_at},
+    refusal::Refusal,
+    update::{Update, UpdateError, announce, confirm, slot_at},
 };
 use trueup_core::cnc::Quality;
+use trueup_node::node::firmware::{Slots, Step};
 
-use super::{mpu, slot_flash};
+use super::{mpu, slot_flash, watchdog::Watchdog};
+
+/// The key of updates.
+static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
 /// Milliseconds of offsets in a row that confirm an image.
 const HEALTHY_MS: u32 = 60_000;
@@ -22,6 +33,8 @@ const HEALTHY_MS: u32 = 60_000;
 /// The slot of this image.
 pub struct OwnSlot {
     journal: Journal<slot_flash::Records>,
+    slots: slot_flash::Slots,
+    update: Option<Update>,
     /// `None`: it has no header, as after a probe without one.
     image: Option<Image>,
     healthy_ms: u32,
@@ -45,7 +58,57 @@ impl OwnSlot {
             }
             None => defmt::warn!("the slot of this image has no header"),
         }
-        Self { journal, image, healthy_ms: 0 }
+        Self { journal, slots, update: None, image, healthy_ms: 0 }
+    }
+
+    /// Returns the state of both slots; `None`: this image has no header, so nothing can be loaded next to it.
+    pub fn state(&mut self) -> Option<Slots> {
+        let running = self.image?.header.slot.number();
+        let state = self.journal.state();
+        let [a, b] = Slot::BOTH.map(|slot| {
+            let image = read_header(&mut self.slots, slot, Version::default()).ok()?;
+            Some((image.header.version.0, state.status(slot, image.tag).encode()))
+        });
+        let [(version_a, a), (version_b, b)] = [a, b].map(Option::unwrap_or_default);
+        let floor = state.floor.0;
+        Some(Slots { running, versions: [version_a, version_b], status: [a, b], floor })
+    }
+
+    /// Does a step of an update; an error is the number of the refusal.
+    pub fn update(&mut self, step: &Step, watchdog: &mut Watchdog) -> Result<(), u8> {
+        let Some(running) = self.image else { return Err(Refusal::NoSlots.number()) };
+        let spare = running.header.slot.other();
+        let done = mpu::with_slot(spare, || match step {
+            // An erase takes longer than the watchdog waits.
+            Step::Begin(header) => watchdog.loosened(|| self.begin(&running, header)),
+            Step::Write(bytes) => self.write(bytes),
+            Step::Finish => watchdog.loosened(|| self.finish()),
+        });
+        done.map_err(|error| {
+            defmt::error!("update refused: {}", defmt::Display2Format(&error));
+            self.update = None;
+            Refusal::from(error).number()
+        })
+    }
+
+    fn begin(&mut self, running: &Image, header: &[u8; 512]) -> Result<(), UpdateError> {
+        self.update = None;
+        let update = Update::begin(&mut self.journal, &mut self.slots, running, header)?;
+        defmt::info!("update of {=u32} bytes begins", update.image().header.length);
+        self.update = Some(update);
+        Ok(())
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> Result<(), UpdateError> {
+        self.update.as_mut().ok_or(UpdateError::Length)?.append(&mut self.slots, bytes)
+    }
+
+    fn finish(&mut self) -> Result<(), UpdateError> {
+        let update = self.update.take().ok_or(UpdateError::Length)?;
+        let key = PublicKey::new(KEY).ok_or(UpdateError::Defect(Defect::Signature))?;
+        update.finish(&mut self.journal, &mut self.slots, &key, || ())?;
+        defmt::info!("update is whole and signed: it starts next");
+        Ok(())
     }
 
     /// A turn of the supervisor.

@@ -9,6 +9,9 @@ use stm32f4xx_hal::{
     watchdog::IndependentWatchdog,
 };
 
+/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
+const MILLISECOND: u32 = 168_000;
+
 /// Cause of the last reset.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
 pub enum Reset {
@@ -86,6 +89,17 @@ impl Watchdog {
     /// millisecond later: its registers take five periods of its oscillator, 0.3 ms at most (section 21.4.4).
     pub fn loosen(&mut self) {
         self.0.start(8_000.millis());
+    }
+
+    /// Does `work`, which may take up to 5.4 s in which nobody feeds it.
+    pub fn loosened<R>(&mut self, work: impl FnOnce() -> R) -> R {
+        self.loosen();
+        // Until it counts by the new limit.
+        cortex_m::asm::delay(MILLISECOND);
+        self.feed();
+        let result = work();
+        self.tighten();
+        result
     }
 
     /// The start is done: from now on it is fed by the supervisor.
