@@ -84,8 +84,8 @@ class Session:
                     wrong.append(f"{name} is {values[name]}, in the EDS {it.default}")
         return values, wrong
 
-    def load(self, data, size=None):
-        stream = self.sdo.open(*NEW, "wb", size=size or len(data), block_transfer=False)
+    def load(self, data, size=None, in_blocks=False):
+        stream = self.sdo.open(*NEW, "wb", size=size or len(data), block_transfer=in_blocks)
         with stream:
             stream.write(data)
 
@@ -113,8 +113,10 @@ class Session:
             ("segment of nothing", 0x05040001, lambda: self.raw([0x60])),
             ("block upload", 0x05040001, lambda: self.raw(
                 struct.pack("<BHBI", 0xA4, *RUNNING, 0x7F))),
-            ("block download", 0x05040001, lambda: self.sdo.open(
-                *NEW, "wb", size=len(self.new), block_transfer=True)),
+            ("block download of a number", 0x05040001, lambda: self.raw(
+                struct.pack("<BHBI", 0xC6, 0x1017, 0, 2))),
+            ("block download of other bytes than its CRC says", 0x05040004, lambda: self.raw(
+                struct.pack("<BHBI", 0xC6, *NEW, 7), [0x81], [0xC1, 1])),
             ("read what is written", 0x06010001, lambda: self.sdo.upload(0x2010, 6)),
             ("write a constant", 0x06010002, lambda: self.sdo.download(0x1000, 0, bytes(4))),
             ("write an offset", 0x06010002, lambda: self.sdo.download(0x2000, 1, bytes(4))),
@@ -270,6 +272,8 @@ class Session:
         saw["misuses"] += self.commit(self.misuses())
         running = self.sdo.upload(*RUNNING)
         saw["running"] = running.hex()
+        self.load(running, in_blocks=True)
+        saw["running_in_blocks"] = self.sdo.upload(*NEW).hex()
         cycles, began = self.cycles, time.monotonic()
         self.load(self.new)
         saw["load_s"] = time.monotonic() - began

@@ -82,6 +82,7 @@ fn pypi_canopen_reads_every_object_loads_a_calibration_and_gets_each_abort_code(
     let running = compiled(1.0)?;
     let hex: String = running.blob().iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(saw["running"], hex);
+    assert_eq!(saw["running_in_blocks"], hex, "a block download of python-canopen");
     for equal in ["read_back_is_equal", "running_again_is_equal"] {
         assert_eq!(saw[equal], json!(true), "{equal}");
     }

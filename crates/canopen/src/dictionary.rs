@@ -90,6 +90,14 @@ pub enum Access {
     Write,
 }
 
+impl Access {
+    /// Returns whether a master may write it.
+    #[must_use]
+    pub const fn can_write(self) -> bool {
+        matches!(self, Self::ReadWrite | Self::Write)
+    }
+}
+
 /// Content of an entry: a constant, or one of the node's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectKind {

@@ -4,7 +4,8 @@
 //! |---|---|
 //! | expedited, up to 4 bytes in one frame | every number |
 //! | segmented, 7 bytes a frame | texts and domains; a number too, if the master likes |
-//! | block | refused with [`Abort::Command`]; masters fall back to segments |
+//! | block, [`BLOCK`] segments without an answer between them | a domain that is written |
+//! | block upload, block download of anything else | refused with [`Abort::Command`]; masters fall back to segments |
 //!
 //! One transfer at a time: a new one takes the place of an old one, as CiA 301 has it. A master that
 //! is silent for [`TIMEOUT_MS`] in the middle of one is sent an abort. The server holds no bytes of a
@@ -16,6 +17,7 @@ use trueup_link::{frame::Frame, layout::SDO_ANSWER_ID};
 use crate::dictionary::{self, Access, Entry, ObjectKind};
 
 mod abort;
+mod block;
 pub mod client;
 #[cfg(test)]
 mod tests;
@@ -26,6 +28,8 @@ pub use abort::Abort;
 pub const TIMEOUT_MS: u32 = 5_000;
 /// Bytes of data in a segment.
 const SEGMENT: usize = 7;
+/// Segments of a block: [`Objects::is_ready`] is asked for room for them before each block.
+pub const BLOCK: u8 = 64;
 
 /// A value as it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,12 +66,18 @@ pub trait Objects {
     /// Why they are not taken.
     fn append(&mut self, what: ObjectKind, bytes: &[u8]) -> Result<(), Abort>;
 
+    /// Returns whether a whole block of a domain can be taken now. If not, its master waits for the answer until it can.
+    fn is_ready(&self, what: ObjectKind) -> bool;
+
     /// It has come whole, and is now looked at; [`Server::end`] will say what came of it.
     ///
     /// # Errors
     /// Why it is not taken.
     fn close(&mut self, what: ObjectKind) -> Result<(), Abort>;
 }
+
+/// The command of an abort.
+const ABORT: u8 = 0x80;
 
 /// Object of a transfer: index and sub-index.
 type At = (u16, u8);
@@ -89,10 +99,16 @@ enum Phase {
         incoming: Incoming,
         toggle: bool,
     },
-    /// All has come and is being looked at; the last segment is not answered yet.
+    /// A domain comes in blocks.
+    Block {
+        at: At,
+        what: ObjectKind,
+        block: block::Block,
+    },
+    /// All has come and is being looked at; the last segment is not answered yet, which is this answer.
     Waiting {
         at: At,
-        toggle: bool,
+        answer: [u8; 8],
     },
 }
 
@@ -122,6 +138,14 @@ impl Server {
         let &[command, low, high, subindex, ref data @ ..] = request.data();
         let at = (u16::from_le_bytes([low, high]), subindex);
         self.silent_ms = 0;
+        if let Phase::Block { at, what, block } = self.phase
+            && command != ABORT
+        {
+            return match self.hear_block(at, what, block, request.data(), objects) {
+                Ok(answer) => answer.map(|data| Frame::full(SDO_ANSWER_ID, data)),
+                Err(abort) => Some(self.abort(at, abort)),
+            };
+        }
         let (at, answer) = match command >> 5 {
             0 => {
                 let &[_, ref segment @ ..] = request.data();
@@ -134,7 +158,8 @@ impl Server {
                 self.phase = Phase::Idle;
                 return None;
             }
-            5 | 6 if command & 1 == 0 || command >> 5 == 5 => (at, Err(Abort::Command)),
+            6 if command & 1 == 0 => (at, self.start_block(at, command, *data, objects)),
+            5 => (at, Err(Abort::Command)),
             _ => (self.at(), Err(Abort::Command)),
         };
         match answer {
@@ -145,11 +170,11 @@ impl Server {
 
     /// Ends the transfer of a domain that had come whole, with this outcome, see [`Objects::close`].
     pub fn end(&mut self, outcome: Result<(), Abort>) -> Option<Frame> {
-        let Phase::Waiting { at, toggle } = self.phase else { return None };
+        let Phase::Waiting { at, answer } = self.phase else { return None };
         Some(match outcome {
             Ok(()) => {
                 self.phase = Phase::Idle;
-                Frame::full(SDO_ANSWER_ID, segment_taken(toggle))
+                Frame::full(SDO_ANSWER_ID, answer)
             }
             Err(abort) => self.abort(at, abort),
         })
@@ -158,21 +183,32 @@ impl Server {
     /// Time passes. Gives the abort of a transfer whose master is silent.
     pub fn tick(&mut self, elapsed_ms: u32) -> Option<Frame> {
         self.silent_ms = self.silent_ms.saturating_add(elapsed_ms);
-        let is_open = matches!(self.phase, Phase::Upload { .. } | Phase::Download { .. });
+        let is_open = matches!(
+            self.phase,
+            Phase::Upload { .. } | Phase::Download { .. } | Phase::Block { .. }
+        );
         (is_open && self.silent_ms > TIMEOUT_MS).then(|| self.abort(self.at(), Abort::Timeout))
+    }
+
+    /// Returns the answer to a block that had to wait for room.
+    pub fn proceed(&mut self, objects: &impl Objects) -> Option<Frame> {
+        self.answer_block(objects).map(|data| Frame::full(SDO_ANSWER_ID, data))
     }
 
     /// Returns what the present transfer is of.
     fn at(&self) -> At {
         match self.phase {
             Phase::Idle => (0, 0),
-            Phase::Upload { at, .. } | Phase::Download { at, .. } | Phase::Waiting { at, .. } => at,
+            Phase::Upload { at, .. }
+            | Phase::Download { at, .. }
+            | Phase::Block { at, .. }
+            | Phase::Waiting { at, .. } => at,
         }
     }
 
     fn abort(&mut self, at: At, abort: Abort) -> Frame {
         self.phase = Phase::Idle;
-        Frame::full(SDO_ANSWER_ID, initiated(0x80, at, abort.code()))
+        Frame::full(SDO_ANSWER_ID, initiated(ABORT, at, abort.code()))
     }
 
     fn start_upload(&mut self, at: At, objects: &impl Objects) -> Result<[u8; 8], Abort> {
@@ -227,7 +263,7 @@ impl Server {
         let was_waiting = matches!(self.phase, Phase::Waiting { .. });
         self.phase = Phase::Idle;
         let entry = find(at)?;
-        if !matches!(entry.access, Access::ReadWrite | Access::Write) {
+        if !entry.access.can_write() {
             return Err(Abort::ReadOnly);
         }
         let (is_expedited, has_size) = (command & 2 != 0, command & 1 != 0);
@@ -297,7 +333,7 @@ impl Server {
             Some(size) => objects.write(entry.what, number_of(incoming.number, size))?,
             None => {
                 objects.close(entry.what)?;
-                self.phase = Phase::Waiting { at, toggle };
+                self.phase = Phase::Waiting { at, answer: segment_taken(toggle) };
                 return Ok(None);
             }
         }

@@ -2,15 +2,18 @@
 
 use std::{
     error::Error,
-    fmt,
+    fmt, iter,
     time::{Duration, Instant},
 };
 
 use anyhow::{Context as _, Result};
 pub use trueup_canopen::dictionary::{NOT_AVAILABLE, TASKS};
 use trueup_canopen::emergency::Faults;
+use trueup_canopen::sdo::Abort;
 pub use trueup_canopen::sdo::client::At;
-use trueup_canopen::sdo::client::{ClientError, Download, MAX_UPLOAD, Progress, Upload, give_up};
+use trueup_canopen::sdo::client::{
+    BlockDownload, ClientError, Download, MAX_UPLOAD, Progress, Upload, give_up,
+};
 use trueup_core::learned::PARTS;
 use trueup_link::{frame::Frame, frames, slcan::Event};
 use trueup_output::escape::one_line;
@@ -191,7 +194,7 @@ fn read_once(
             return Err(TooSlow(at, count).into());
         }
         progress(bytes.len(), upload.announced());
-        Ok(next)
+        Ok((next, Vec::new()))
     })?;
     Ok(bytes)
 }
@@ -245,15 +248,44 @@ pub fn write(
     transfer(session, at, first, |frame| {
         let next = download.hear(frame)?;
         progress(download.sent());
-        Ok(next)
+        Ok((next, Vec::new()))
     })
+}
+
+/// Writes an object in blocks of segments, ten times as fast as [`write`] on a line that loses nothing. A bridge that knows no
+/// blocks gets segments.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_in_blocks(
+    session: &mut Session,
+    at: At,
+    data: &[u8],
+    mut progress: impl FnMut(usize),
+) -> Result<()> {
+    let (mut download, first) = BlockDownload::start(at, data);
+    let written = transfer(session, at, first, |frame| {
+        let next = download.hear(frame)?;
+        let more = iter::from_fn(|| download.more()).collect();
+        progress(download.sent());
+        Ok((next, more))
+    });
+    match written {
+        Err(error) if knows_no_blocks(&error) => write(session, at, data, progress),
+        written => written,
+    }
+}
+
+fn knows_no_blocks(error: &anyhow::Error) -> bool {
+    let command = Abort::Command.code();
+    matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if *code == command)
 }
 
 fn transfer(
     session: &mut Session,
     at: At,
     first: Frame,
-    mut hear: impl FnMut(&Frame) -> Result<Progress>,
+    mut hear: impl FnMut(&Frame) -> Result<(Progress, Vec<Frame>)>,
 ) -> Result<()> {
     session.send(&first).context("while asking for an object")?;
     let mut patience = Patience::from(Instant::now());
@@ -265,13 +297,15 @@ fn transfer(
         };
         let is_beat = frame.is_some_and(|frame| frames::decode_heartbeat(frame).is_ok());
         patience.look(Instant::now(), is_beat);
-        match frame.map_or(Ok(Progress::Unchanged), &mut hear)? {
+        let (next, more) = frame.map_or(Ok((Progress::Unchanged, Vec::new())), &mut hear)?;
+        match next {
             Progress::Unchanged if patience.is_over() => {
                 return Err(NoAnswer(at, patience.listened()).into());
             }
             Progress::Unchanged => {}
             Progress::Ask(request) => {
                 session.send(&request)?;
+                more.iter().try_for_each(|frame| session.send(frame))?;
                 patience = Patience::from(Instant::now());
             }
             Progress::Done => return Ok(()),

@@ -375,7 +375,10 @@ impl<'a> Node<'a> {
         self.zero_refused = false;
         let now = self.faults(&output);
         self.emergencies.note(elapsed_ms, seen);
-        self.answer = self.server.tick(elapsed_ms).or(self.answer);
+        // Taken out, because what it asks for room is the rest of this node.
+        let mut server = self.server;
+        self.answer = server.proceed(self).or_else(|| server.tick(elapsed_ms)).or(self.answer);
+        self.server = server;
         self.since_heartbeat_ms = self.since_heartbeat_ms.saturating_add(elapsed_ms);
         self.until_status_ms = self.until_status_ms.saturating_sub(elapsed_ms);
         self.heartbeat(&output)

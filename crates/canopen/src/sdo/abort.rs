@@ -8,8 +8,12 @@ pub enum Abort {
     Toggle = 0x0503_0000,
     /// The client has been silent in the middle of a transfer.
     Timeout = 0x0504_0000,
-    /// An unsupported command: a block transfer, or a segment without a transfer.
+    /// An unsupported command: a block upload, or a segment without a transfer.
     Command = 0x0504_0001,
+    /// A segment of a block has a number that no segment has.
+    Sequence = 0x0504_0003,
+    /// The CRC of a block transfer is not that of its bytes.
+    Crc = 0x0504_0004,
     /// An object that can only be written is read.
     WriteOnly = 0x0601_0001,
     /// An object that can only be read is written.
@@ -38,10 +42,12 @@ pub enum Abort {
 
 impl Abort {
     /// All of them.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 17] = [
         Self::Toggle,
         Self::Timeout,
         Self::Command,
+        Self::Sequence,
+        Self::Crc,
         Self::WriteOnly,
         Self::ReadOnly,
         Self::NoObject,
@@ -63,6 +69,8 @@ impl Abort {
             Self::Toggle => "a segment was lost or came twice",
             Self::Timeout => "the transfer took too long",
             Self::Command => "no such command",
+            Self::Sequence => "a segment has a number that none has",
+            Self::Crc => "bytes were damaged on the way",
             Self::WriteOnly => "it can only be written",
             Self::ReadOnly => "it can only be read",
             Self::NoObject => "there is no such object",

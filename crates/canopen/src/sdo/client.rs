@@ -1,5 +1,5 @@
 //! The other end of the SDO server: how a tool reads and writes objects (CiA 301). Segments for
-//! whatever is longer than 4 bytes.
+//! whatever is longer than 4 bytes, blocks of segments for long domains.
 //!
 //! A transfer is a value that takes the server's answers and gives the next request; it has no
 //! clock and no line, so its caller decides how long to wait.
@@ -12,6 +12,9 @@ use trueup_link::{
 };
 
 use super::{Abort, SEGMENT, initiated, is_toggled, size_byte};
+
+mod block;
+pub use block::BlockDownload;
 
 /// An object: index and sub-index.
 pub type At = (u16, u8);

@@ -8,14 +8,14 @@
 use heapless::Vec;
 use trueup_canopen::{
     dictionary::{FIRMWARE_HEADER, ObjectKind},
-    sdo::Abort,
+    sdo::{self, Abort},
 };
 
 use super::Node;
 
 /// Bytes that wait for the board at the most: at one segment in 2 ms 0.14 s of them, 14 turns of its supervisor.
 const WAITING: usize = 512;
-const _: () = assert!(WAITING >= FIRMWARE_HEADER);
+const _: () = assert!(WAITING >= FIRMWARE_HEADER && WAITING >= 7 * sdo::BLOCK as usize);
 
 /// State of both slots, as object 0x2121 has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -218,6 +218,13 @@ impl Node<'_> {
         // Nothing is written to the flash under a CNC that has engaged meanwhile.
         self.allow_change()?;
         self.firmware.append(bytes)
+    }
+
+    /// Returns whether the board has taken what had come, so that a whole block finds room.
+    pub(super) fn is_firmware_ready(&self) -> bool {
+        // The header is taken in one piece.
+        self.firmware.transfer == Transfer::Header
+            || self.firmware.waiting.is_empty() && !self.firmware.is_away
     }
 
     pub(super) fn close_firmware(&mut self) -> Result<(), Abort> {

@@ -256,6 +256,14 @@ impl Objects for Node<'_> {
         }
     }
 
+    fn is_ready(&self, what: ObjectKind) -> bool {
+        match what {
+            ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => self.is_firmware_ready(),
+            // Its buffer takes all of it.
+            _ => true,
+        }
+    }
+
     fn close(&mut self, what: ObjectKind) -> Result<(), Abort> {
         self.allow_change()?;
         if matches!(what, ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage) {

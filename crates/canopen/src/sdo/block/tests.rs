@@ -1,0 +1,152 @@
+//! The block download between client and server, with a line that loses segments, and a server without room.
+
+use std::vec::Vec;
+
+use proptest::prelude::*;
+use trueup_link::layout::SDO_REQUEST_ID;
+
+use crate::sdo::{
+    block::step,
+    client::{BlockDownload, ClientError, Progress},
+    tests::Fake,
+    *,
+};
+
+const NEW: (u16, u8) = (0x2100, 2);
+
+/// Has a client write these bytes over a line that loses the requests of these numbers. Returns the outcome, and how many
+/// frames went out.
+fn write(
+    server: &mut Server,
+    fake: &mut Fake,
+    bytes: &[u8],
+    lost: &[usize],
+) -> (Result<(), ClientError>, usize) {
+    let (mut client, first) = BlockDownload::start(NEW, bytes);
+    let mut out = std::vec![first];
+    let mut sent = 0;
+    for _ in 0..1_000 {
+        let mut answer = None;
+        for frame in out.drain(..) {
+            let is_lost = lost.contains(&sent);
+            sent += 1;
+            if !is_lost {
+                answer = server.hear(&frame, fake).or(answer);
+            }
+        }
+        // A server that is at work answers later.
+        let answer = answer.or_else(|| {
+            fake.is_full = false;
+            server.proceed(fake)
+        });
+        let Some(answer) = answer.or_else(|| server.end(Ok(()))) else { break };
+        match client.hear(&answer) {
+            Ok(Progress::Done) => return (Ok(()), sent),
+            Ok(Progress::Ask(frame)) => {
+                out.push(frame);
+                out.extend(std::iter::from_fn(|| client.more()));
+            }
+            Ok(Progress::Unchanged) => {}
+            Err(error) => return (Err(error), sent),
+        }
+    }
+    (Err(ClientError::TooShort { at: NEW }), sent)
+}
+
+fn bytes(count: usize) -> Vec<u8> {
+    (0..count).map(|at| (at % 253) as u8).collect()
+}
+
+#[test]
+fn the_crc_is_that_of_the_standard() {
+    // CiA 301, 7.2.4.3.16: "123456789" gives 0x31C3.
+    assert_eq!(b"123456789".iter().copied().fold(0, step), 0x31C3);
+}
+
+#[test]
+fn domains_of_any_length_arrive_as_they_are() {
+    for count in [0, 1, 6, 7, 8, 447, 448, 449, 600] {
+        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let (outcome, sent) = write(&mut server, &mut fake, &bytes(count), &[]);
+        assert_eq!((outcome, &fake.domain), (Ok(()), &bytes(count)), "{count}");
+        assert_eq!(sent, 2 + count.div_ceil(7).max(1), "{count}: start, segments, end");
+    }
+}
+
+#[test]
+fn a_lost_segment_is_sent_again_and_a_lost_answer_ends_the_transfer() {
+    let (mut server, mut fake) = (Server::default(), Fake::default());
+    // The first block is segments 1 to 64, the second the rest: 5 is in the first, 70 in the second.
+    let (outcome, sent) = write(&mut server, &mut fake, &bytes(600), &[5, 75]);
+    assert_eq!((outcome, &fake.domain), (Ok(()), &bytes(600)));
+    assert!(sent > 2 + 86 + 60, "the rest of the block went out again: {sent}");
+    // The last segment of all is lost: nothing is answered, until the server gives up.
+    let (outcome, _) = write(&mut server, &mut fake, &bytes(14), &[2]);
+    assert_eq!(outcome, Err(ClientError::TooShort { at: NEW }));
+    assert_eq!(server.tick(TIMEOUT_MS), None);
+    let abort = server.tick(1).expect("it gives up");
+    assert_eq!(abort.data(), &initiated(ABORT, NEW, Abort::Timeout.code()));
+}
+
+#[test]
+fn a_block_is_answered_once_there_is_room_for_the_next() {
+    let (mut server, mut fake) = (Server::default(), Fake::default());
+    let (mut client, first) = BlockDownload::start(NEW, &[7; 500]);
+    let started = server.hear(&first, &mut fake).expect("an answer");
+    let Ok(Progress::Ask(segment)) = client.hear(&started) else { panic!("{started:?}") };
+    fake.is_full = true;
+    let block = std::iter::once(segment).chain(std::iter::from_fn(|| client.more()));
+    let answers: Vec<_> = block.filter_map(|frame| server.hear(&frame, &mut fake)).collect();
+    assert_eq!((answers.len(), fake.domain.len()), (0, 448));
+    assert_eq!(server.proceed(&fake), None);
+    fake.is_full = false;
+    let answer = server.proceed(&fake).expect("there is room");
+    assert_eq!(answer.data(), &[0xA2, 64, BLOCK, 0, 0, 0, 0, 0]);
+    assert_eq!(server.proceed(&fake), None, "once");
+}
+
+#[test]
+fn a_wrong_crc_length_object_or_number_is_refused() {
+    let hear = |server: &mut Server, fake: &mut Fake, data| {
+        server.hear(&Frame::full(SDO_REQUEST_ID, data), fake).map(|it| *it.data())
+    };
+    let aborted = |at, abort: Abort| Some(initiated(ABORT, at, abort.code()));
+    for (size, end, abort) in [
+        (7, [0xC1, 0, 0, 0, 0, 0, 0, 0], Abort::Crc),
+        (6, [0xC1, 0, 0, 0, 0, 0, 0, 0], Abort::Length),
+        (8, [0xC1, 0, 0, 0, 0, 0, 0, 0], Abort::Length),
+        (7, [0, 0, 0, 0, 0, 0, 0, 0], Abort::Sequence),
+        (7, [65, 0, 0, 0, 0, 0, 0, 0], Abort::Sequence),
+    ] {
+        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let start = hear(&mut server, &mut fake, initiated(0xC6, NEW, size));
+        assert_eq!(start, Some(initiated(0xA4, NEW, BLOCK.into())));
+        let answer = hear(&mut server, &mut fake, [0x81, 1, 2, 3, 4, 5, 6, 7]);
+        assert_eq!(answer, Some([0xA2, 1, BLOCK, 0, 0, 0, 0, 0]));
+        assert_eq!(hear(&mut server, &mut fake, end), aborted(NEW, abort), "{size} {end:?}");
+    }
+    let (mut server, mut fake) = (Server::default(), Fake::default());
+    for (at, abort) in [
+        ((0x1017, 0), Abort::Command),
+        ((0x1000, 0), Abort::ReadOnly),
+        ((0x2100, 9), Abort::NoSubindex),
+        ((0x1234, 0), Abort::NoObject),
+    ] {
+        let start = hear(&mut server, &mut fake, initiated(0xC6, at, 2));
+        assert_eq!(start, aborted(at, abort), "{at:04X?}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn whatever_is_lost_what_is_accepted_is_what_was_sent(
+        count in 0_usize..600, lost in prop::collection::vec(0_usize..200, 0..20),
+    ) {
+        let (mut server, mut fake) = (Server::default(), Fake::default());
+        let sent = bytes(count);
+        let (outcome, _) = write(&mut server, &mut fake, &sent, &lost);
+        if outcome.is_ok() {
+            prop_assert_eq!(&fake.domain, &sent);
+        }
+    }
+}
