@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a board, `measure` | `src/memory.x` |
 //! | `boot` | that of the boot program (`trueup_boot::layout`) |
-//! | `slots`, `slot-test` | that of slot A or B, as `TRUEUP_SLOT` says |
+//! | `slots`, `slot-test` | that of slot A or B, as `TRUEUP_SLOT` says; with its header, and the boot program of `TRUEUP_BOOT`, if any |
 //!
 //! The link arguments stand here and not in `.cargo/config.toml`, because `RUSTFLAGS` in the
 //! environment would replace those in silence and the image would come out empty.
@@ -48,6 +48,9 @@ fn main() {
     if has_feature("BOOT") {
         link_key(&out);
     }
+    if has_feature("SLOTS") {
+        link_boot(&out);
+    }
     if has_feature("SLOTS") || !has_feature("BOOT") {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
         link_calibration(&out);
@@ -75,6 +78,15 @@ impl Place {
         );
         if *start == FLASH_START && !has_feature("BOOT") {
             memory = fs::read_to_string(MEMORY).expect("it is part of the package");
+        }
+        if has_feature("SLOTS") {
+            let header = start - u32::try_from(HEADER_SIZE).expect("512");
+            memory += &format!(
+                "MEMORY {{ BOOT : ORIGIN = {FLASH_START:#x}, LENGTH = {BOOT_SIZE} \
+                 HEADER : ORIGIN = {header:#x}, LENGTH = {HEADER_SIZE} }}\n\
+                 SECTIONS {{ .boot : {{ KEEP(*(.boot)) }} > BOOT \
+                 .slot_header : {{ KEEP(*(.slot_header)) }} > HEADER }} INSERT BEFORE .vector_table;\n"
+            );
         }
         if has_feature("STM32F405") {
             memory += &fs::read_to_string(GUARD).expect("it is next to the board");
@@ -114,6 +126,22 @@ fn link_key(out: &Path) {
             exit(1);
         }
     }
+}
+
+/// Puts the bytes of the boot program where the image takes them from; none, if no boot program is named.
+fn link_boot(out: &Path) {
+    println!("cargo:rerun-if-env-changed=TRUEUP_BOOT");
+    let bytes = match env::var("TRUEUP_BOOT") {
+        Ok(path) => {
+            println!("cargo:rerun-if-changed={path}");
+            fs::read(&path).unwrap_or_else(|error| {
+                println!("cargo:warning={path}: {error}");
+                exit(1);
+            })
+        }
+        Err(_) => Vec::new(),
+    };
+    fs::write(out.join("boot.bin"), bytes).expect("OUT_DIR can be written");
 }
 
 /// Compiles the machine file.

@@ -17,13 +17,21 @@ use std::{
 mod commit;
 
 /// Names of the carried images; a constant of `carried.rs` names one, too.
-const IMAGES: [&str; 3] = ["trueup-virtual.elf", "trueup-stm32f405.elf", "trueup-stm32f405.bin"];
+const IMAGES: [&str; 6] = [
+    "trueup-virtual.elf",
+    "trueup-stm32f405.elf",
+    "trueup-stm32f405.bin",
+    "trueup-stm32f405-slots.elf",
+    "trueup-stm32f405-slots.bin",
+    "trueup-stm32f405-slots.update",
+];
 /// Sources of the images.
-const SOURCES: [&str; 15] = [
+const SOURCES: [&str; 17] = [
     "Cargo.lock",
     "build.rs",
     "commit.rs",
     "src",
+    "data/keys",
     "data/paper_spindle.toml",
     "crates/boot/src",
     "crates/canopen/src",
@@ -34,6 +42,7 @@ const SOURCES: [&str; 15] = [
     "crates/modbus/src",
     "crates/node/src",
     "crates/pipe/src",
+    "crates/signature/src",
     "crates/store/src",
 ];
 const CARRIED: &str = "TRUEUP_FIRMWARE";

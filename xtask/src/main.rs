@@ -76,6 +76,12 @@ enum Command {
     Bounds,
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
     Images,
+    /// Builds the image with two firmware slots and the file that updates a board with them, in target/images.
+    ///
+    /// TRUEUP_MACHINE=M.toml links a machine file in, TRUEUP_FIRMWARE_VERSION states another version than the project's.
+    /// TRUEUP_KEY names the public key that boards check updates with, TRUEUP_SIGNING_KEY its private half; without them the
+    /// key is that of developers, whose private half everybody has.
+    Slots,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
     Measure,
     /// Hides each effect in the virtual machine's data, and counts how often it is named right: the
@@ -241,6 +247,10 @@ fn main() -> ExitCode {
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
         Command::Bounds => bounds::print().map(|report| trueup_output::line(report.trim_end())),
         Command::Images => firmware::carried().map(|folder| trueup_output::line(folder.display())),
+        Command::Slots => firmware::build_slots().map(|built| {
+            trueup_output::line(built.image.display());
+            trueup_output::line(built.update.display());
+        }),
         Command::Measure => measure::run(measure::VECTORS).and_then(|measured| measured.publish()),
         Command::Scorecard { seeds } => verify::scorecard(seeds),
         Command::Fuzz { minutes } => campaign::fuzz(minutes),

@@ -13,6 +13,7 @@ use rustix::fs::{FlockOperation, flock};
 use crate::{
     binary, process, seal,
     setup::{self, TARGET, Toolchain},
+    slots,
 };
 
 /// The two boards, by the names of their features.
@@ -25,11 +26,11 @@ pub enum Board {
 }
 
 /// Names the machine file that is linked into an image.
-pub(crate) const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
+const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
 
 /// Which machine file is linked in.
 #[derive(Clone, Copy)]
-enum Linked<'a> {
+pub(crate) enum Linked<'a> {
     /// The one that the user has named in the environment, if any.
     Named,
     /// The example, whatever the environment says: it never gives an offset.
@@ -158,14 +159,19 @@ pub(crate) fn mark(machine: &Path) -> Result<String> {
 pub fn carried() -> Result<PathBuf> {
     let folder = setup::root().join("target/carried");
     fs::create_dir_all(&folder)?;
-    // The one of the chip has its plain bytes next to it.
+    let mut images = Vec::new();
     for board in Board::ALL {
         let name = format!("carried-{}", board.feature());
-        let image = build_as(board, board.feature(), &name, Linked::Example)?;
-        for kind in ["elf", "bin"] {
+        images.push((build_as(board, board.feature(), &name, Linked::Example)?, board.feature()));
+    }
+    let slots = slots::build_flashable(Linked::Example, "carried-slots", slots::version()?)?;
+    images.push((slots.image, SLOTS));
+    // Those of the chip have their plain bytes next to them, and that of two slots its update.
+    for (image, name) in images {
+        for kind in ["elf", "bin", "update"] {
             let built = image.with_extension(kind);
             if built.is_file() {
-                let copy = folder.join(format!("trueup-{}.{kind}", board.feature()));
+                let copy = folder.join(format!("trueup-{name}.{kind}"));
                 fs::rename(&built, &copy).with_context(|| copy.display().to_string())?;
             }
         }
@@ -173,13 +179,31 @@ pub fn carried() -> Result<PathBuf> {
     Ok(folder)
 }
 
+/// Name of the image with two firmware slots.
+const SLOTS: &str = "stm32f405-slots";
+
+/// Builds the image with two firmware slots, and the update of boards that have them.
+///
+/// # Errors
+/// As [`build`], and as [`slots::build_flashable_for`].
+pub fn build_slots() -> Result<slots::Flashable> {
+    slots::build_flashable(Linked::Named, SLOTS, slots::version()?)
+}
+
+impl Linked<'_> {
+    /// Has a build link it in.
+    pub(crate) fn tell(self, command: &mut Command) {
+        match self {
+            Linked::Named => command,
+            Linked::Example => command.env_remove(MACHINE_VARIABLE),
+            Linked::File(machine) => command.env(MACHINE_VARIABLE, machine),
+        };
+    }
+}
+
 fn build_as(board: Board, feature: &str, name: &str, machine: Linked) -> Result<PathBuf> {
     let (mut command, folder) = cargo_for("build", feature)?;
-    match machine {
-        Linked::Named => &mut command,
-        Linked::Example => command.env_remove(MACHINE_VARIABLE),
-        Linked::File(machine) => command.env(MACHINE_VARIABLE, machine),
-    };
+    machine.tell(&mut command);
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
     // Cargo gives both boards the same file name, so nobody else may build until the copy is made;

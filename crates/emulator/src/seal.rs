@@ -38,6 +38,18 @@ pub fn seal(image: &Path) -> Result<()> {
     fs::write(image, bytes).with_context(|| image.display().to_string())
 }
 
+/// Writes bytes into an image, from a symbol on.
+///
+/// # Errors
+/// The image cannot be read or written, or has no such symbol with that many bytes.
+pub fn write_at(image: &Path, name: &str, content: &[u8]) -> Result<()> {
+    let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
+    let (_, place) = find(&bytes, name).with_context(|| format!("the image has no {name}"))?;
+    let at = bytes.get_mut(place..place + content.len()).context("beyond the image")?;
+    at.copy_from_slice(content);
+    fs::write(image, bytes).with_context(|| image.display().to_string())
+}
+
 /// CRC-32 by 0x04C1_1DB7, highest bit first, as the chip's unit has it.
 fn step(crc: u32, word: u32) -> u32 {
     (0..32).fold(crc ^ word, |crc, _| {

@@ -1,6 +1,7 @@
 //! Images for the two slots of the flash, the boot program that chooses between them, and the files of updates.
 
 use std::{
+    env,
     fs::{self, File},
     path::{Path, PathBuf},
     process::Command,
@@ -12,13 +13,19 @@ use trueup_boot::{
     header::{HEADER_SIZE, Header, Version},
     layout::{BOOT_SIZE, SLOT_SIZE, Slot},
 };
-use trueup_signature::PrivateKey;
+use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
-    binary, firmware, process, seal,
+    binary,
+    firmware::{self, Linked},
+    process, seal,
     setup::{self, TARGET},
 };
 
+/// Names the bytes of the boot program that an image is to have in front.
+const BOOT_VARIABLE: &str = "TRUEUP_BOOT";
+/// Where an image has its header.
+const HEADER_SYMBOL: &str = "TRUEUP_SLOT_HEADER";
 /// Where the test has behaviour and name of the small image (`src/bin/slot_test`).
 const SETTINGS: &str = "SLOT_TEST";
 
@@ -61,11 +68,105 @@ pub fn cargo(verb: &str) -> Result<[Command; 2]> {
 /// As [`build_boot`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
     let name = format!("stm32f405-{}-for-{}", slot.name(), firmware::mark(machine)?);
+    build_for_slot(slot, Linked::File(machine), None, &name)
+}
+
+fn build_for_slot(
+    slot: Slot,
+    machine: Linked<'_>,
+    boot: Option<&Path>,
+    name: &str,
+) -> Result<PathBuf> {
     let (mut command, folder) = cargo_for("slots", "trueup-firmware", Some(slot))?;
-    command.env(firmware::MACHINE_VARIABLE, machine);
-    let image = build_with(command, &folder, "trueup-firmware", &name)?;
+    machine.tell(&mut command);
+    match boot {
+        Some(boot) => command.env(BOOT_VARIABLE, boot),
+        None => command.env_remove(BOOT_VARIABLE),
+    };
+    let image = build_with(command, &folder, "trueup-firmware", name)?;
     seal::seal(&image)?;
     Ok(image)
+}
+
+/// Files for a board with two firmware slots.
+#[derive(Debug)]
+pub struct Flashable {
+    /// Boot program and slot A, one whole image; its plain bytes stand next to it (`.bin`).
+    pub image: PathBuf,
+    /// The files of an update, for slot A and for slot B, one behind the other.
+    pub update: PathBuf,
+}
+
+/// Builds them for a machine, with the version of this project, or the one that `TRUEUP_FIRMWARE_VERSION` states.
+///
+/// # Errors
+/// As [`build_boot`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
+pub fn build_flashable_for(machine: &Path, version: Version) -> Result<Flashable> {
+    let name = format!("stm32f405-slots-{version}-for-{}", firmware::mark(machine)?);
+    build_flashable(Linked::File(machine), &name, version)
+}
+
+pub(crate) fn build_flashable(
+    machine: Linked<'_>,
+    name: &str,
+    version: Version,
+) -> Result<Flashable> {
+    let key = signing_key()?;
+    let boot = build_boot()?;
+    let boot_bytes = boot.with_extension("bin");
+    let bytes = binary::of(&boot)?;
+    // What is the same keeps its time, and nothing is built again.
+    if fs::read(&boot_bytes).ok().as_ref() != Some(&bytes) {
+        fs::write(&boot_bytes, bytes)?;
+    }
+    let mut update = Vec::new();
+    let [image, _] = Slot::BOTH.map(|slot| {
+        let boot = (slot == Slot::A).then_some(boot_bytes.as_path());
+        let name = if slot == Slot::A { name.to_owned() } else { format!("{name}-B") };
+        let image = build_for_slot(slot, machine, boot, &name)?;
+        let file = sign(&body(&image, slot)?, slot, version, Version::default(), &key);
+        seal::write_at(&image, HEADER_SYMBOL, &file[..HEADER_SIZE])?;
+        update.extend(file);
+        anyhow::Ok(image)
+    });
+    let image = image?;
+    fs::write(image.with_extension("bin"), binary::of(&image)?)?;
+    let file = image.with_extension("update");
+    fs::write(&file, update)?;
+    Ok(Flashable { image, update: file })
+}
+
+/// Returns the version of this project's firmware.
+///
+/// # Errors
+/// `TRUEUP_FIRMWARE_VERSION` is none.
+pub fn version() -> Result<Version> {
+    let text = env::var("TRUEUP_FIRMWARE_VERSION");
+    let text = text.as_deref().unwrap_or(env!("CARGO_PKG_VERSION"));
+    Version::parse(text).with_context(|| format!("TRUEUP_FIRMWARE_VERSION: {text} is no version"))
+}
+
+/// Returns the key that images are signed with: the one that `TRUEUP_SIGNING_KEY` names, or that of developers. The boot
+/// program has its public half.
+fn signing_key() -> Result<PrivateKey> {
+    let Ok(path) = env::var("TRUEUP_SIGNING_KEY") else {
+        ensure!(
+            env::var_os("TRUEUP_KEY").is_none(),
+            "TRUEUP_KEY names the key of the boot program; TRUEUP_SIGNING_KEY has to name its private half"
+        );
+        return development_key();
+    };
+    let key = PrivateKey::from_pem(&fs::read_to_string(&path).with_context(|| path.clone())?)
+        .with_context(|| path.clone())?;
+    let public =
+        env::var("TRUEUP_KEY").context("TRUEUP_SIGNING_KEY is set, but TRUEUP_KEY is not")?;
+    let burnt = PublicKey::from_pem(&fs::read_to_string(&public).with_context(|| public.clone())?)
+        .with_context(|| public.clone())?;
+    ensure!(
+        burnt.to_bytes() == key.public().to_bytes(),
+        "{public} is not the public half of {path}: no board would start what is signed with it"
+    );
+    Ok(key)
 }
 
 fn build(feature: &str, program: &str, name: &str, slot: Option<Slot>) -> Result<PathBuf> {
@@ -109,7 +210,9 @@ pub fn body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
     let name = image.display();
     ensure!(flash.len() > first, "{name} is not linked for slot {}", slot.name());
     ensure!(flash.len() <= end, "{name} is larger than a slot");
-    ensure!(flash[..first].iter().all(|byte| *byte == 0xFF), "{name} has bytes below its slot");
+    // A whole image has the boot program below slot A.
+    let below = if slot == Slot::A { BOOT_SIZE as usize..start } else { 0..start };
+    ensure!(flash[below].iter().all(|byte| *byte == 0xFF), "{name} has bytes below its slot");
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
     Ok(flash.split_off(first))
 }

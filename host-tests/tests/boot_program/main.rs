@@ -10,3 +10,4 @@ mod loads;
 mod sdo_script;
 mod starts;
 mod updates;
+mod whole;

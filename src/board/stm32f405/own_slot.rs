@@ -10,7 +10,7 @@
 
 use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
-    header::Version,
+    header::{HEADER_SIZE, Version},
     inspect::{Defect, Image, read_header},
     journal::Journal,
     key::PublicKey,
@@ -29,6 +29,26 @@ static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
 /// Milliseconds of offsets in a row that confirm an image.
 const HEALTHY_MS: u32 = 60_000;
+
+/// Bytes of the boot program, if this image is one whole to be flashed.
+const BOOT: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/boot.bin"));
+
+/// The boot program in front of the slots.
+#[used]
+#[unsafe(link_section = ".boot")]
+#[allow(unsafe_code, reason = "a place of its own")]
+static BOOT_PROGRAM: [u8; BOOT.len()] = {
+    let mut bytes = [0; BOOT.len()];
+    bytes.copy_from_slice(BOOT);
+    bytes
+};
+
+/// The header of this image; it is written into it after it is linked, with the signature.
+#[used]
+#[unsafe(link_section = ".slot_header")]
+#[unsafe(no_mangle)]
+#[allow(unsafe_code, reason = "a place of its own")]
+static TRUEUP_SLOT_HEADER: [u8; HEADER_SIZE] = [0xFF; HEADER_SIZE];
 
 /// The slot of this image.
 pub struct OwnSlot {
@@ -91,7 +111,7 @@ impl OwnSlot {
         })
     }
 
-    fn begin(&mut self, running: &Image, header: &[u8; 512]) -> Result<(), UpdateError> {
+    fn begin(&mut self, running: &Image, header: &[u8; HEADER_SIZE]) -> Result<(), UpdateError> {
         self.update = None;
         let update = Update::begin(&mut self.journal, &mut self.slots, running, header)?;
         defmt::info!("update of {=u32} bytes begins", update.image().header.length);

@@ -35,7 +35,7 @@ fn number(node: &Node<'_>, what: O) -> u32 {
 }
 
 fn header() -> [u8; FIRMWARE_HEADER] {
-    core::array::from_fn(|at| (at % 251) as u8)
+    core::array::from_fn(|at| u8::try_from(at % 251).expect("below 251"))
 }
 
 /// Writes the header as a master does; the board takes it.
@@ -71,7 +71,7 @@ fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
         (512, tag)
     );
 
-    let image: Vec<u8> = (0..2_000_u32).map(|at| (at % 241) as u8).collect();
+    let image: Vec<u8> = (0_u8..241).cycle().take(2_000).collect();
     let mut flash = Vec::new();
     let (first, rest) = image.split_at(1_001);
     node.open(O::FirmwareImage, None).expect("allowed");

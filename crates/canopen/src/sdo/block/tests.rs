@@ -54,7 +54,7 @@ fn write(
 }
 
 fn bytes(count: usize) -> Vec<u8> {
-    (0..count).map(|at| (at % 253) as u8).collect()
+    (0_u8..253).cycle().take(count).collect()
 }
 
 #[test]
