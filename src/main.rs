@@ -366,14 +366,7 @@ mod app {
             shared.node.lock(|node| node.end_drop(is_stored));
         }
         #[cfg(feature = "slots")]
-        if let Some(step) = shared.node.lock(|node| node.take_firmware()) {
-            let outcome = it.update_firmware(&step);
-            let slots = it.slots();
-            shared.node.lock(|node| {
-                slots.into_iter().for_each(|slots| node.note_slots(slots));
-                node.end_firmware(&step, outcome);
-            });
-        }
+        it.update_firmware(&mut shared.node);
         let bus = shared.can_out.lock(CanOut::state);
         shared.node.lock(|node| {
             node.note_if(bus.warning, Fault::CanWarning);

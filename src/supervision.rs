@@ -177,10 +177,18 @@ impl Supervision {
         self.own_slot.state()
     }
 
-    /// Does a step of an update; an error is the number of the refusal.
+    /// Does the next step of an update, if one is due.
     #[cfg(feature = "slots")]
-    pub fn update_firmware(&mut self, step: &trueup_node::node::firmware::Step) -> Result<(), u8> {
-        self.own_slot.update(step, &mut self.watchdog)
+    pub fn update_firmware(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
+        let Self { own_slot, watchdog, .. } = self;
+        let Some(step) = node.lock(|node| node.take_firmware(&mut own_slot.piece)) else { return };
+        // Outside the lock: it does not hold up a tick for longer than the flash does.
+        let outcome = own_slot.update(step, watchdog);
+        let slots = own_slot.state();
+        node.lock(|node| {
+            slots.into_iter().for_each(|slots| node.note_slots(slots));
+            node.end_firmware(step, outcome);
+        });
     }
 
     /// Returns true once a second.

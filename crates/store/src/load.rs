@@ -144,6 +144,22 @@ impl<'a> Slot<'a> {
         }
     }
 
+    /// Returns the bytes that have come and are not whole yet.
+    #[must_use]
+    pub fn gathered(&self) -> &[u8] {
+        match self {
+            Self::Open(load) => load.bytes(),
+            _ => &[],
+        }
+    }
+
+    /// Drops them, so that there is room again.
+    pub fn clear(&mut self) {
+        if let Self::Open(load) = self {
+            load.length = 0;
+        }
+    }
+
     /// Returns what has come whole, once.
     pub fn take(&mut self) -> Option<Load<'a>> {
         match core::mem::take(self) {

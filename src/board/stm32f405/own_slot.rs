@@ -20,7 +20,7 @@ use trueup_boot::{
     update::{Update, UpdateError, announce, confirm, slot_at},
 };
 use trueup_core::cnc::Quality;
-use trueup_node::node::firmware::{Slots, Step};
+use trueup_node::node::firmware::{Piece, Slots, Step};
 
 use super::{mpu, slot_flash, watchdog::Watchdog};
 
@@ -55,6 +55,8 @@ pub struct OwnSlot {
     journal: Journal<slot_flash::Records>,
     slots: slot_flash::Slots,
     update: Option<Update>,
+    /// Bytes of it on their way from the node.
+    pub piece: Piece,
     /// `None`: it has no header, as after a probe without one.
     image: Option<Image>,
     healthy_ms: u32,
@@ -78,7 +80,7 @@ impl OwnSlot {
             }
             None => defmt::warn!("the slot of this image has no header"),
         }
-        Self { journal, slots, update: None, image, healthy_ms: 0 }
+        Self { journal, slots, update: None, piece: Piece::new(), image, healthy_ms: 0 }
     }
 
     /// Returns the state of both slots; `None`: this image has no header, so nothing can be loaded next to it.
@@ -94,14 +96,14 @@ impl OwnSlot {
         Some(Slots { running, versions: [version_a, version_b], status: [a, b], floor })
     }
 
-    /// Does a step of an update; an error is the number of the refusal.
-    pub fn update(&mut self, step: &Step, watchdog: &mut Watchdog) -> Result<(), u8> {
+    /// Does a step of an update, with the bytes of [`Self::piece`]; an error is the number of the refusal.
+    pub fn update(&mut self, step: Step, watchdog: &mut Watchdog) -> Result<(), u8> {
         let Some(running) = self.image else { return Err(Refusal::NoSlots.number()) };
         let spare = running.header.slot.other();
         let done = mpu::with_slot(spare, || match step {
             // An erase takes longer than the watchdog waits.
-            Step::Begin(header) => watchdog.loosened(|| self.begin(&running, header)),
-            Step::Write(bytes) => self.write(bytes),
+            Step::Begin => watchdog.loosened(|| self.begin(&running)),
+            Step::Write => self.write(),
             Step::Finish => watchdog.loosened(|| self.finish()),
         });
         done.map_err(|error| {
@@ -111,16 +113,17 @@ impl OwnSlot {
         })
     }
 
-    fn begin(&mut self, running: &Image, header: &[u8; HEADER_SIZE]) -> Result<(), UpdateError> {
+    fn begin(&mut self, running: &Image) -> Result<(), UpdateError> {
         self.update = None;
+        let header = self.piece.first_chunk().ok_or(UpdateError::Length)?;
         let update = Update::begin(&mut self.journal, &mut self.slots, running, header)?;
         defmt::info!("update of {=u32} bytes begins", update.image().header.length);
         self.update = Some(update);
         Ok(())
     }
 
-    fn write(&mut self, bytes: &[u8]) -> Result<(), UpdateError> {
-        self.update.as_mut().ok_or(UpdateError::Length)?.append(&mut self.slots, bytes)
+    fn write(&mut self) -> Result<(), UpdateError> {
+        self.update.as_mut().ok_or(UpdateError::Length)?.append(&mut self.slots, &self.piece)
     }
 
     fn finish(&mut self) -> Result<(), UpdateError> {

@@ -11,13 +11,14 @@ use trueup_link::frames;
 
 use super::{
     Line, Node,
-    firmware::{Slots, Step},
+    firmware::{Piece, Slots, Step},
     tests_calibration,
 };
 
 /// Returns a node at rest in slot B, whose CNC says `Service`.
-fn in_service<'a>() -> Node<'a> {
+fn in_service(buffer: &mut [u8]) -> Node<'_> {
     let mut node = Node::new(Some(tests_calibration()), false);
+    node.set_buffer(buffer);
     let service = Control { service: true, ..Control::REFERENCED };
     for counter in 0..4 {
         node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
@@ -25,6 +26,12 @@ fn in_service<'a>() -> Node<'a> {
     let status = [[5, 0], [3, 2]];
     node.note_slots(Slots { running: 1, versions: [0x0102_0300, 0x0102_0400], status, floor: 7 });
     node
+}
+
+/// Returns the next step, and its bytes.
+fn take(node: &mut Node<'_>) -> Option<(Step, Vec<u8>)> {
+    let mut piece = Piece::new();
+    node.take_firmware(&mut piece).map(|step| (step, piece.to_vec()))
 }
 
 fn number(node: &Node<'_>, what: O) -> u32 {
@@ -43,26 +50,26 @@ fn begin(node: &mut Node<'_>) {
     node.open(O::FirmwareHeader, Some(512)).expect("allowed");
     for segment in header().chunks(7) {
         node.append(O::FirmwareHeader, segment).expect("room");
-        assert_eq!(node.take_firmware(), None, "not before all of it has come");
+        assert_eq!(take(node), None, "not before all of it has come");
     }
     node.close(O::FirmwareHeader).expect("whole");
-    let step = node.take_firmware().expect("a step");
-    assert_eq!(step, Step::Begin(header()));
-    assert_eq!(node.take_firmware(), None, "one at a time");
-    node.end_firmware(&step, Ok(()));
+    assert_eq!(take(node), Some((Step::Begin, header().to_vec())));
+    assert_eq!(take(node), None, "one at a time");
+    node.end_firmware(Step::Begin, Ok(()));
 }
 
 /// Has the board take what waits.
 fn drain(node: &mut Node<'_>, flash: &mut Vec<u8>) {
-    let step = node.take_firmware().expect("bytes wait");
-    let Step::Write(bytes) = &step else { panic!("{step:?}") };
+    let (step, bytes) = take(node).expect("bytes wait");
+    assert_eq!(step, Step::Write);
     flash.extend(bytes);
-    node.end_firmware(&step, Ok(()));
+    node.end_firmware(step, Ok(()));
 }
 
 #[test]
 fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
-    let mut node = in_service();
+    let mut buffer = [0; 1_024];
+    let mut node = in_service(&mut buffer);
     assert_eq!([O::FirmwareReceived, O::FirmwareTag].map(|it| number(&node, it)), [0; 2]);
     begin(&mut node);
     let tag = header().last_chunk().map(|it| u32::from_le_bytes(*it));
@@ -81,29 +88,32 @@ fn a_firmware_comes_in_two_transfers_and_each_byte_reaches_the_board_once() {
             drain(&mut node, &mut flash);
         }
     }
+    assert_eq!(node.open(O::New, None), Err(Abort::DeviceState), "the buffer is in use");
     // The line breaks. What had come is kept, and the next transfer goes on behind it.
     assert_eq!(number(&node, O::FirmwareReceived), 512 + 1_001);
+    assert_eq!(node.open(O::FirmwareImage, Some(999)), Err(Abort::DeviceState), "bytes wait");
+    drain(&mut node, &mut flash);
     node.open(O::FirmwareImage, Some(999)).expect("allowed");
     for segment in rest.chunks(7) {
         node.append(O::FirmwareImage, segment).expect("room");
         drain(&mut node, &mut flash);
     }
     node.close(O::FirmwareImage).expect("whole");
-    let step = node.take_firmware().expect("a step");
-    assert_eq!(step, Step::Finish);
-    node.end_firmware(&step, Ok(()));
+    assert_eq!(take(&mut node), Some((Step::Finish, Vec::new())));
+    node.end_firmware(Step::Finish, Ok(()));
     assert_eq!(flash, image);
     assert_eq!((number(&node, O::FirmwareReceived), number(&node, O::FirmwareRefused)), (2_512, 0));
 }
 
 #[test]
 fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
-    let mut node = in_service();
+    let mut buffer = [0; 1_024];
+    let mut node = in_service(&mut buffer);
     node.open(O::FirmwareHeader, None).expect("allowed");
     node.append(O::FirmwareHeader, &[0; 512]).expect("room");
     node.close(O::FirmwareHeader).expect("whole");
-    let step = node.take_firmware().expect("a step");
-    node.end_firmware(&step, Err(9));
+    let (step, _) = take(&mut node).expect("a step");
+    node.end_firmware(step, Err(9));
     assert_eq!(number(&node, O::FirmwareRefused), 9);
     assert_eq!(node.open(O::FirmwareImage, None), Err(Abort::DeviceState), "none is under way");
     // The flash refuses in the middle: the next segment is refused, and it must begin anew.
@@ -111,21 +121,22 @@ fn a_refusal_of_the_board_has_its_number_and_ends_the_firmware() {
     assert_eq!(number(&node, O::FirmwareRefused), 0);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[1; 7]).expect("room");
-    let step = node.take_firmware().expect("a step");
-    node.end_firmware(&step, Err(11));
+    let (step, _) = take(&mut node).expect("a step");
+    node.end_firmware(step, Err(11));
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(Abort::Value));
     assert_eq!([O::FirmwareReceived, O::FirmwareRefused].map(|it| number(&node, it)), [0, 11]);
 }
 
 #[test]
 fn a_header_of_another_length_and_too_many_bytes_at_once_are_refused() {
-    let mut node = in_service();
+    let mut buffer = [0; 1_024];
+    let mut node = in_service(&mut buffer);
     assert_eq!(node.open(O::FirmwareHeader, Some(511)), Err(Abort::Length));
     node.open(O::FirmwareHeader, None).expect("allowed");
     node.append(O::FirmwareHeader, &[0; 511]).expect("room");
     assert_eq!(node.append(O::FirmwareHeader, &[0; 2]), Err(Abort::TooLong));
     assert_eq!(node.close(O::FirmwareHeader), Err(Abort::TooShort));
-    assert_eq!(node.take_firmware(), None);
+    assert_eq!(take(&mut node), None);
     begin(&mut node);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[0; 512]).expect("room");
@@ -140,7 +151,8 @@ fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_w
     let mut node = Node::new(Some(tests_calibration()), false);
     assert_eq!(node.open(O::FirmwareHeader, None), Err(Abort::DeviceState));
     assert_eq!(node.read(O::RunningSlot), Err(Abort::NoData));
-    let mut node = in_service();
+    let mut buffer = [0; 1_024];
+    let mut node = in_service(&mut buffer);
     begin(&mut node);
     node.open(O::FirmwareImage, None).expect("allowed");
     node.append(O::FirmwareImage, &[1; 7]).expect("room");
@@ -159,7 +171,8 @@ fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_w
 
 #[test]
 fn the_slots_are_read_as_the_table_of_objects_has_them() {
-    let node = in_service();
+    let mut buffer = [0; 1_024];
+    let node = in_service(&mut buffer);
     let read = |what| number(&node, what);
     assert_eq!(read(O::RunningSlot), 1);
     assert_eq!([0, 1].map(|slot| read(O::SlotVersion(slot))), [0x0102_0300, 0x0102_0400]);

@@ -245,6 +245,7 @@ impl Objects for Node<'_> {
             ObjectKind::FirmwareHeader | ObjectKind::FirmwareImage => {
                 self.open_firmware(what, size)
             }
+            _ if self.firmware_waits() => Err(Abort::DeviceState),
             _ => self.slot.open(size).map_err(abort),
         }
     }
