@@ -9,6 +9,7 @@ mod command;
 mod live;
 mod modbus;
 mod modbus_faults;
+mod update;
 
 use std::{
     ffi::OsStr,
