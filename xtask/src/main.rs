@@ -30,7 +30,7 @@ use trueup_demo::{
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    linuxcnc, measure, setup, size, virtual_bridge,
+    images, linuxcnc, measure, setup, size, virtual_bridge,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile};
 
@@ -246,8 +246,8 @@ fn main() -> ExitCode {
         Command::LinuxCnc(options) => run_linuxcnc(options),
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
         Command::Bounds => bounds::print().map(|report| trueup_output::line(report.trim_end())),
-        Command::Images => firmware::carried().map(|folder| trueup_output::line(folder.display())),
-        Command::Slots => firmware::build_slots().map(|built| {
+        Command::Images => images::carried().map(|folder| trueup_output::line(folder.display())),
+        Command::Slots => images::build_slots().map(|built| {
             trueup_output::line(built.image.display());
             trueup_output::line(built.update.display());
         }),

@@ -11,7 +11,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{firmware, process, setup};
+use trueup_emulator::{images, process, setup};
 
 use crate::cargo;
 
@@ -24,7 +24,7 @@ const CARGO_DEB: &str = "3.8.0";
 /// The firmware or the tool does not build, or cargo-deb cannot be had or fails.
 pub fn package() -> Result<PathBuf> {
     // Before the tool, which takes what is there.
-    firmware::carried()?;
+    images::carried()?;
     process::run(cargo::locked("build").args(["--release", "--package", "trueup-cli"]))?;
     let root = setup::root();
     describe(&root.join("target/release/trueup"), &root.join("target/deb"))?;
@@ -64,7 +64,7 @@ trueup predict -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o out.
 trueup diagnose -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o found
 trueup compile found/extended.toml -o cal.bin
 trueup show cal.bin > shown.toml
-test $(trueup firmware images | wc -l) = 3
+test $(trueup firmware images | wc -l) = 6
 test -f /usr/share/man/man1/trueup.1.gz
 test -f /usr/share/bash-completion/completions/trueup
 apt-get remove -y trueup

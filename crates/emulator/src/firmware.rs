@@ -13,7 +13,6 @@ use rustix::fs::{FlockOperation, flock};
 use crate::{
     binary, process, seal,
     setup::{self, TARGET, Toolchain},
-    slots,
 };
 
 /// The two boards, by the names of their features.
@@ -152,44 +151,6 @@ pub(crate) fn mark(machine: &Path) -> Result<String> {
     Ok(format!("{:016x}", hasher.finish()))
 }
 
-/// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
-///
-/// # Errors
-/// As [`build`].
-pub fn carried() -> Result<PathBuf> {
-    let folder = setup::root().join("target/carried");
-    fs::create_dir_all(&folder)?;
-    let mut images = Vec::new();
-    for board in Board::ALL {
-        let name = format!("carried-{}", board.feature());
-        images.push((build_as(board, board.feature(), &name, Linked::Example)?, board.feature()));
-    }
-    let slots = slots::build_flashable(Linked::Example, "carried-slots", slots::version()?)?;
-    images.push((slots.image, SLOTS));
-    // Those of the chip have their plain bytes next to them, and that of two slots its update.
-    for (image, name) in images {
-        for kind in ["elf", "bin", "update"] {
-            let built = image.with_extension(kind);
-            if built.is_file() {
-                let copy = folder.join(format!("trueup-{name}.{kind}"));
-                fs::rename(&built, &copy).with_context(|| copy.display().to_string())?;
-            }
-        }
-    }
-    Ok(folder)
-}
-
-/// Name of the image with two firmware slots.
-const SLOTS: &str = "stm32f405-slots";
-
-/// Builds the image with two firmware slots, and the update of boards that have them.
-///
-/// # Errors
-/// As [`build`], and as [`slots::build_flashable_for`].
-pub fn build_slots() -> Result<slots::Flashable> {
-    slots::build_flashable(Linked::Named, SLOTS, slots::version()?)
-}
-
 impl Linked<'_> {
     /// Has a build link it in.
     pub(crate) fn tell(self, command: &mut Command) {
@@ -201,7 +162,12 @@ impl Linked<'_> {
     }
 }
 
-fn build_as(board: Board, feature: &str, name: &str, machine: Linked) -> Result<PathBuf> {
+pub(crate) fn build_as(
+    board: Board,
+    feature: &str,
+    name: &str,
+    machine: Linked,
+) -> Result<PathBuf> {
     let (mut command, folder) = cargo_for("build", feature)?;
     machine.tell(&mut command);
     let images = folder.join("images");

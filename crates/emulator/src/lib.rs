@@ -21,6 +21,7 @@ mod frames;
 pub mod front_end;
 pub mod gauge;
 pub mod hand;
+pub mod images;
 pub mod linuxcnc;
 pub mod log;
 pub mod measure;

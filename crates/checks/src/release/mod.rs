@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for each | this file |
 //! | Windows, x86-64 | `.zip` with the tool and licences | this file |
-//! | the board | images with their `.elf`, which alone can read a board's log | this file |
+//! | the board | images with their `.elf`, which alone can read a board's log; the update of boards with two firmware slots | this file |
 //! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `papers.rs` |
 //! | all | `SHA256SUMS`, signatures | this file |
 //!
@@ -24,7 +24,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result};
-use trueup_emulator::{firmware, process, setup};
+use trueup_emulator::{images, process, setup};
 use trueup_signature::PrivateKey;
 
 use crate::{cargo, debian};
@@ -70,8 +70,8 @@ pub struct Release {
 /// or a tool is missing or fails.
 pub fn release(key: Option<&Path>) -> Result<Release> {
     // Before anything is built: minutes later nobody waits for it.
-    let key = key.map(read_key).transpose()?;
-    let again = twice::build()?;
+    let private = key.map(read_key).transpose()?;
+    let again = twice::build(key.zip(private.as_ref()))?;
     let folder = folder();
     let mut left_out = left_out();
     left_out.extend(papers::write(&again, &folder)?);
@@ -79,10 +79,11 @@ pub fn release(key: Option<&Path>) -> Result<Release> {
     let files = names(&folder)?;
     let sums = process::output(Command::new("sha256sum").args(&files).current_dir(&folder))?;
     fs::write(folder.join("SHA256SUMS"), sums)?;
-    match key {
+    match private {
         Some(key) => sign(&key, &folder)?,
         None => left_out.push(
-            "nothing is signed; first: trueup sign --new KEY.pem, then cargo xtask release --key KEY.pem"
+            "no file is signed, and the images of two slots with the developers' key; first: trueup sign --new KEY.pem, then \
+             cargo xtask release --key KEY.pem"
                 .into(),
         ),
     }
@@ -134,7 +135,7 @@ pub fn once() -> Result<()> {
     }
     fs::create_dir_all(&folder)?;
     // Before the tool, which carries them.
-    copy_all(&firmware::carried()?, &folder)?;
+    copy_all(&images::carried()?, &folder)?;
     let built: Vec<&Platform> = PLATFORMS
         .iter()
         .filter(|it| missing(it, has_library, |program| process::find(program).is_some()).is_none())

@@ -11,25 +11,35 @@ use std::{
 
 use anyhow::{Context as _, Result, ensure};
 use trueup_emulator::{process, setup};
+use trueup_signature::PrivateKey;
 
-/// Builds here and in a clone, and returns the clone's folder.
+/// Builds here and in a clone, and returns the clone's folder. Images of two firmware slots are signed with the key, given by
+/// its file and as it was read, and boot with its public half; without one it is the developers'.
 ///
 /// # Errors
 /// There are changes that are in no commit, something does not build, or the files differ; with their names.
-pub(super) fn build() -> Result<PathBuf> {
+pub(super) fn build(key: Option<(&Path, &PrivateKey)>) -> Result<PathBuf> {
     let root = setup::root();
+    let keys = match key {
+        Some((private, key)) => {
+            let public = root.join("target/release.pub.pem");
+            fs::write(&public, key.public().to_pem()?)?;
+            vec![("TRUEUP_SIGNING_KEY", private.canonicalize()?), ("TRUEUP_KEY", public)]
+        }
+        None => Vec::new(),
+    };
     let changed =
         process::output(git(&root).args(["status", "--porcelain", "--untracked-files=no"]))?;
     ensure!(changed.is_empty(), "a release is of a commit; these are in none:\n{changed}");
     let time = commit_time()?;
-    once_in(&root, time)?;
+    once_in(&root, time, &keys)?;
     let again = root.join("target/release-again/in-another-folder");
     if again.is_dir() {
         fs::remove_dir_all(&again)?;
     }
     fs::create_dir_all(again.parent().context("it is in a folder")?)?;
     process::run(git(&root).args(["clone", "--quiet", "--no-hardlinks", "."]).arg(&again))?;
-    once_in(&again, time)?;
+    once_in(&again, time, &keys)?;
     let files = |root: &Path| root.join("target/release-files");
     let differ = differences(&files(&root), &files(&again))?;
     ensure!(
@@ -54,7 +64,7 @@ fn git(root: &Path) -> Command {
 }
 
 /// Builds all files of a folder. This program does it for both: it is of the same commit.
-fn once_in(root: &Path, commit_time: u64) -> Result<()> {
+fn once_in(root: &Path, commit_time: u64, keys: &[(&str, PathBuf)]) -> Result<()> {
     trueup_output::diagnostic(format_args!("building in {}", root.display()));
     let mut command = Command::new(env::current_exe()?);
     command.current_dir(root).args(["release", "--once"]);
@@ -66,6 +76,10 @@ fn once_in(root: &Path, commit_time: u64) -> Result<()> {
     let flags = [flag(root, "/trueup"), flag(&home, "/cargo")];
     command.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
     command.env("SOURCE_DATE_EPOCH", commit_time.to_string());
+    for variable in ["TRUEUP_SIGNING_KEY", "TRUEUP_KEY", "TRUEUP_FIRMWARE_VERSION"] {
+        command.env_remove(variable);
+    }
+    command.envs(keys.iter().cloned());
     // What this process was started with belongs to its folder alone.
     for variable in ["CARGO_MANIFEST_PATH", "CARGO_TARGET_DIR", "RUSTFLAGS"] {
         command.env_remove(variable);

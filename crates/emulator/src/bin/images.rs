@@ -6,7 +6,7 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match trueup_emulator::firmware::carried() {
+    match trueup_emulator::images::carried() {
         Ok(folder) => {
             trueup_output::line(folder.display());
             ExitCode::SUCCESS
