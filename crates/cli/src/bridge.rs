@@ -9,6 +9,7 @@ pub mod load;
 pub mod monitor;
 mod pending;
 mod plain;
+mod update;
 mod who;
 
 use anyhow::Result;
@@ -33,6 +34,14 @@ pub enum Command {
     /// that one. Each question of the bridge is answered at the CNC, by Confirm.
     /// Exit 3: it is stored, but the board does not run on it, or belongs to another machine.
     Load(load::Load),
+    /// Updates the firmware of a board with two slots: shows what runs and what goes where, asks, sends it, and restarts the board.
+    ///
+    /// The new firmware goes to the slot that does not run, and starts on trial: engage and let it give offsets for a
+    /// minute. Until then a crash or a hang goes back to the old one. Nothing is sent while offsets are being followed:
+    /// let the CNC disengage first, and set Service there. Where no CNC sends, this sets Service itself.
+    /// If it is interrupted, the same command goes on behind the bytes that the board has.
+    /// Exit 3: it is on the board, but the old firmware runs.
+    Update(update::Update),
     /// Takes the offsets back to 0 at the slew limit, where no CNC commands the bridge.
     ///
     /// Where a CNC does, nothing is sent: the offset is its own, and only it knows whether it cuts. Disengage there.
@@ -82,6 +91,7 @@ pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
             Ok(Outcome::Done)
         }
         Command::Load(args) => load::run(args, as_json),
+        Command::Update(args) => update::run(args, as_json),
         Command::Disengage(args) => disengage::run(args, as_json),
         Command::Pending(args) => pending::run(args, as_json),
         Command::ForgetReference(args) => forget::run(args, as_json),

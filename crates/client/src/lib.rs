@@ -16,6 +16,9 @@
 //! | [`object`] | the objects of the bridge, by SDO |
 //! | `patience` | how long an answer is waited for |
 //! | [`load`] | a calibration, sent, read back and put to use |
+//! | [`firmware`] | a new firmware, sent to the other slot of a board, and put to use |
+//! | [`firmware_file`] | the file of an update, read and checked |
+//! | [`firmware_slots`] | the slots of a board: versions, status, why the one that runs was chosen |
 //! | [`previous`] | the calibration that a load has replaced |
 //! | [`disengage`] | the offsets of a bridge that no CNC commands, taken back |
 //! | [`mod@reference`] | what the errors count from: value, age, by whom, in force or offered |
@@ -40,6 +43,9 @@ pub mod cnc;
 mod dating;
 pub mod disengage;
 pub mod ends;
+pub mod firmware;
+pub mod firmware_file;
+pub mod firmware_slots;
 pub mod found;
 pub mod holder;
 pub mod line;

@@ -182,15 +182,27 @@ pub fn restart_allowed(session: &mut Session, wanted: u32) -> Result<u32> {
 /// # Errors
 /// The bridge does not come back.
 pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
+    restart_until(session, |it| object::number(it, RUNNING_CRC), |running| *running == wanted)
+}
+
+/// Lets the bridge restart, and asks it until the answer is the expected one, or [`BOOT_TIMEOUT`] is over. Returns the
+/// last answer.
+///
+/// # Errors
+/// As [`restart`].
+pub(crate) fn restart_until<T>(
+    session: &mut Session,
+    mut ask: impl FnMut(&mut Session) -> Result<T>,
+    is_expected: impl Fn(&T) -> bool,
+) -> Result<T> {
     session.send(&Frame::new(NMT_ID, &RESET_NODE).context("a frame of two bytes")?)?;
     // A CNC that comes back is to be the only master.
     session.end_service();
     let deadline = Instant::now() + BOOT_TIMEOUT;
     loop {
-        let told =
-            wait_for_boot(session, deadline).and_then(|()| object::number(session, RUNNING_CRC));
-        match told {
-            Ok(running) if running == wanted || Instant::now() > deadline => return Ok(running),
+        let answer = wait_for_boot(session, deadline).and_then(|()| ask(session));
+        match answer {
+            Ok(answer) if is_expected(&answer) || Instant::now() > deadline => return Ok(answer),
             Err(error) if Instant::now() > deadline => return Err(error),
             _ => {}
         }
@@ -202,7 +214,7 @@ pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
 ///
 /// `Service` of a tool that has just left still stands for the link timeout. It is a CNC's only if frames of a CNC
 /// come.
-fn ask_leave(session: &mut Session) -> Result<()> {
+pub(crate) fn ask_leave(session: &mut Session) -> Result<()> {
     let begin = Instant::now();
     let [none, given, open] =
         [Authority::NoMaster, Authority::Service, Authority::SwitchOpen].map(|it| it as u32);
@@ -241,7 +253,7 @@ fn ask_leave(session: &mut Session) -> Result<()> {
         if begin.elapsed() > LEAVE_TIMEOUT + remnant {
             bail!(
                 "the CNC on this bridge's line does not allow it: set Service there (LinuxCNC: the pin \
-                 trueup.0.service) with Engage off, and load again"
+                 trueup.0.service) with Engage off, and try again"
             );
         }
     }

@@ -96,6 +96,24 @@ pub const MACHINE_SERIAL: At = (0x2101, 2);
 pub const WRITES: At = (0x2110, 1);
 /// Seconds since 1970 (UTC).
 pub const UTC: At = (0x2110, 2);
+/// The header of a new firmware. Written, the other slot is erased.
+pub const FIRMWARE_HEADER: At = (0x2120, 1);
+/// The bytes of a new firmware from [`FIRMWARE_RECEIVED`] on.
+pub const FIRMWARE_IMAGE: At = (0x2120, 2);
+/// Bytes of the new firmware that have come, its header included; 0: none is under way.
+pub const FIRMWARE_RECEIVED: At = (0x2120, 3);
+/// Tag of the firmware under way.
+pub const FIRMWARE_TAG: At = (0x2120, 4);
+/// Why the last one was refused: a number of [`Refusal`](trueup_boot::refusal::Refusal), 0: it was not.
+pub const FIRMWARE_REFUSED: At = (0x2120, 5);
+/// The firmware slot that runs: 0 A, 1 B.
+pub const RUNNING_SLOT: At = (0x2121, 1);
+/// The versions in slot A and B; 0: none.
+pub const SLOT_VERSION: [At; 2] = [(0x2121, 2), (0x2121, 3)];
+/// The status of slot A and B in the lower byte, and starts on trial in the upper one.
+pub const SLOT_STATUS: [At; 2] = [(0x2121, 4), (0x2121, 5)];
+/// The oldest firmware version that may start.
+pub const FIRMWARE_FLOOR: At = (0x2121, 6);
 
 /// No answer has come, and for how long it was waited for.
 #[derive(Debug)]
@@ -173,7 +191,8 @@ fn is_endless(error: &anyhow::Error) -> bool {
         )
 }
 
-fn may_be_the_line(error: &anyhow::Error) -> bool {
+/// Returns whether a frame may be lost, so that the same may be answered when it is asked for again.
+pub(crate) fn may_be_the_line(error: &anyhow::Error) -> bool {
     error.is::<NoAnswer>()
         || error.downcast_ref::<ClientError>().is_some_and(ClientError::may_be_the_line)
 }
@@ -187,7 +206,7 @@ fn read_once(
     let (mut upload, first) = Upload::start_at_most(at, most);
     let mut bytes = Vec::new();
     let start = Instant::now();
-    transfer(session, at, first, |frame| {
+    transfer(session, at, first, Patience::from, |frame| {
         let next = upload.hear(frame, &mut bytes)?;
         let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
         if start.elapsed() > TRANSFER_TIME + TIME_PER_BYTE * count {
@@ -245,35 +264,45 @@ pub fn write(
     mut progress: impl FnMut(usize),
 ) -> Result<()> {
     let (mut download, first) = Download::start(at, data);
-    transfer(session, at, first, |frame| {
+    transfer(session, at, first, Patience::from, |frame| {
         let next = download.hear(frame)?;
         progress(download.sent());
         Ok((next, Vec::new()))
     })
 }
 
-/// Writes an object in blocks of segments, ten times as fast as [`write`] on a line that loses nothing. A bridge that knows no
-/// blocks gets segments.
+/// Writes an object in blocks of segments, ten times as fast as [`write()`] on a line that loses nothing, to a bridge that may
+/// erase a firmware slot before it answers. A bridge that knows no blocks gets segments. `progress` receives how many bytes
+/// were sent; an error of it ends the transfer.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`]; that of `progress`.
 pub fn write_in_blocks(
     session: &mut Session,
     at: At,
     data: &[u8],
-    mut progress: impl FnMut(usize),
+    mut progress: impl FnMut(usize) -> Result<()>,
 ) -> Result<()> {
     let (mut download, first) = BlockDownload::start(at, data);
-    let written = transfer(session, at, first, |frame| {
+    let written = transfer(session, at, first, Patience::over_an_erase, |frame| {
         let next = download.hear(frame)?;
         let more = iter::from_fn(|| download.more()).collect();
-        progress(download.sent());
+        if next != Progress::Unchanged {
+            progress(download.sent())?;
+        }
         Ok((next, more))
     });
-    match written {
-        Err(error) if knows_no_blocks(&error) => write(session, at, data, progress),
-        written => written,
+    if !written.as_ref().is_err_and(knows_no_blocks) {
+        return written;
     }
+    let (mut download, first) = Download::start(at, data);
+    transfer(session, at, first, Patience::over_an_erase, |frame| {
+        let next = download.hear(frame)?;
+        if next != Progress::Unchanged {
+            progress(download.sent())?;
+        }
+        Ok((next, Vec::new()))
+    })
 }
 
 fn knows_no_blocks(error: &anyhow::Error) -> bool {
@@ -285,10 +314,11 @@ fn transfer(
     session: &mut Session,
     at: At,
     first: Frame,
+    patience_from: fn(Instant) -> Patience,
     mut hear: impl FnMut(&Frame) -> Result<(Progress, Vec<Frame>)>,
 ) -> Result<()> {
     session.send(&first).context("while asking for an object")?;
-    let mut patience = Patience::from(Instant::now());
+    let mut patience = patience_from(Instant::now());
     loop {
         let event = session.next_event(Instant::now() + LOOK)?;
         let frame = match &event {
@@ -306,7 +336,7 @@ fn transfer(
             Progress::Ask(request) => {
                 session.send(&request)?;
                 more.iter().try_for_each(|frame| session.send(frame))?;
-                patience = Patience::from(Instant::now());
+                patience = patience_from(Instant::now());
             }
             Progress::Done => return Ok(()),
         }

@@ -9,6 +9,7 @@
 //! |---|---|
 //! | [`LEAST`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
 //! | [`SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
+//! | [`STALL`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
 
 use std::time::{Duration, Instant};
 
@@ -20,6 +21,9 @@ const BEATS: u32 = 20;
 const LEAST: Duration = Duration::from_secs(2);
 /// The longest wait without any heartbeat.
 const SILENCE: Duration = Duration::from_secs(5);
+/// The same of a bridge that erases two sectors of 128 KB meanwhile: 4 s at most by the data sheet of its chip, and as
+/// much again for one that is emulated, or waits for its CNC.
+const STALL: Duration = Duration::from_secs(12);
 
 /// The patience of one question.
 pub struct Patience {
@@ -28,12 +32,20 @@ pub struct Patience {
     /// How much of it since the last heartbeat.
     silent: Duration,
     beats: u32,
+    /// The longest wait without any heartbeat.
+    silence: Duration,
 }
 
 impl Patience {
     /// From `now` on an answer is waited for.
     pub fn from(now: Instant) -> Self {
-        Self { looked: now, listened: Duration::ZERO, silent: Duration::ZERO, beats: 0 }
+        let [listened, silent] = [Duration::ZERO; 2];
+        Self { looked: now, listened, silent, beats: 0, silence: SILENCE }
+    }
+
+    /// As [`Self::from`], of a bridge that may erase a firmware slot first.
+    pub fn over_an_erase(now: Instant) -> Self {
+        Self { silence: STALL, ..Self::from(now) }
     }
 
     /// A look at the line ends now; whether it has brought a heartbeat.
@@ -47,7 +59,7 @@ impl Patience {
 
     /// Returns whether no answer is to be expected any more.
     pub fn is_over(&self) -> bool {
-        self.silent >= SILENCE || self.listened >= LEAST && self.beats >= BEATS
+        self.silent >= self.silence || self.listened >= LEAST && self.beats >= BEATS
     }
 
     /// Returns how long has been listened.
@@ -64,8 +76,12 @@ mod tests {
 
     /// Looks that each take `look`, every `per_beat`th of which brings a heartbeat; when it is over.
     fn over_after(look: Duration, per_beat: u32) -> Duration {
+        over(Patience::from, look, per_beat)
+    }
+
+    fn over(patience: fn(Instant) -> Patience, look: Duration, per_beat: u32) -> Duration {
         let start = Instant::now();
-        let (mut patience, mut now) = (Patience::from(start), start);
+        let (mut patience, mut now) = (patience(start), start);
         for number in 1..100_000 {
             now += look;
             patience.look(now, per_beat > 0 && number % per_beat == 0);
@@ -93,5 +109,10 @@ mod tests {
         assert_eq!(over_after(MS, 0), 5_000 * MS);
         // Each look took ten times what it may: we were not let run.
         assert_eq!(over_after(10 * LOOK, 0), 50_000 * MS);
+    }
+    #[test]
+    fn an_erase_may_last_twelve_seconds_and_a_live_bridge_has_no_longer_for_it() {
+        assert_eq!(over(Patience::over_an_erase, LOOK, 0), 12_000 * MS);
+        assert_eq!(over(Patience::over_an_erase, MS, 100), 2_000 * MS);
     }
 }

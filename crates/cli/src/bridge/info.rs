@@ -11,6 +11,7 @@ use clap::Args;
 use serde_json::{Value, json};
 use trueup_client::{
     build::Build,
+    firmware_slots::SlotsState,
     object,
     port::Port,
     reference::BridgeReference,
@@ -89,6 +90,8 @@ struct Objects {
     device: String,
     hardware: String,
     software: Build,
+    /// `None`: the board has no firmware slots.
+    slots: Option<SlotsState>,
     /// 0: it has no valid one.
     calibration: u32,
     /// The one for the next start; 0: none was loaded.
@@ -120,6 +123,7 @@ impl Objects {
             device: object::text(session, object::NAME)?,
             hardware: object::text(session, object::HARDWARE)?,
             software: who::compare_builds(session)?,
+            slots: SlotsState::ask(session)?,
             calibration: object::number(session, object::RUNNING_CRC)?,
             new_calibration: object::number(session, object::NEW_CRC)?,
             // An empty one is refused.
@@ -164,6 +168,23 @@ impl Objects {
             crc => format!("CRC {crc:08x}{new}"),
         }
     }
+}
+
+/// Prints the firmware slots of a board, the one that runs first.
+fn print_slots(slots: &SlotsState) -> Result<()> {
+    let (running, spare) = (slots.running, slots.running.other());
+    output::print(format_args!(
+        "firmware     slot {} runs: {}",
+        running.name(),
+        slots.content(running)
+    ))?;
+    output::print(format_args!("firmware     slot {}: {}", spare.name(), slots.content(spare)))?;
+    output::print(format_args!(
+        "firmware     slot {} was chosen: {}",
+        running.name(),
+        slots.choice()
+    ))?;
+    output::print(format_args!("firmware     oldest version that may start: {}", slots.floor))
 }
 
 /// Returns the learned values in words; none of a bridge whose firmware is older than they are.
@@ -322,6 +343,7 @@ impl Info {
         all["device"] = json!(objects.map(|it| &it.device));
         all["hardware"] = json!(objects.map(|it| &it.hardware));
         all["software"] = json!(objects.map(|it| it.software.to_string()));
+        all["firmware_slots"] = json!(objects.and_then(|it| it.slots).map(|it| it.json()));
         all["calibration_crc"] = json!(objects.and_then(|it| crc(it.calibration)));
         all["new_calibration_crc"] = json!(objects.and_then(|it| crc(it.new_calibration)));
         let named = |text: &str| (!text.is_empty()).then(|| text.to_owned());
@@ -368,6 +390,7 @@ impl Info {
         let Some(it) = objects else { return Ok(()) };
         let Objects { device, hardware, software, .. } = it;
         output::print(format_args!("device       {device} {software} on {hardware}"))?;
+        it.slots.as_ref().map_or(Ok(()), print_slots)?;
         output::print(format_args!("calibration  {}", it.calibration_text()))?;
         output::print(format_args!("machine      {}", it.machine_text()))?;
         output::print(format_args!("reference    {}", it.reference.text()))?;

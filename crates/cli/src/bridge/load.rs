@@ -189,16 +189,7 @@ fn keep_previous(session: &mut Session, replaced: &[u8], by: u32) {
 /// Shows what `blob` changes, asks, and loads it; unless `keep_running`, the board then restarts with it.
 pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
     let crc = identity(blob);
-    let quality = object::number(session, QUALITY)?;
-    let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
-    let quality = quality.context("the bridge sends an unknown quality")?;
-    if !matches!(quality, Quality::Off | Quality::Fault) {
-        bail!(
-            "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
-             disengage first",
-            quality_word(quality)
-        );
-    }
+    check_at_rest(session)?;
     who::compare_builds(session)?;
     let waiting = object::number(session, NEW_CRC)?;
     if waiting != 0 && waiting != crc && waiting != object::number(session, RUNNING_CRC)? {
@@ -257,6 +248,21 @@ pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
     let after = BridgeReference::ask(session)?;
     let asks = Asks::of(session)?;
     Ok(Loaded { crc, running, differences, references: [before, after], asks })
+}
+
+/// Checks that no offset is being followed.
+pub fn check_at_rest(session: &mut Session) -> Result<()> {
+    let quality = object::number(session, QUALITY)?;
+    let quality = u8::try_from(quality).ok().and_then(Quality::from_wire);
+    let quality = quality.context("the bridge sends an unknown quality")?;
+    if !matches!(quality, Quality::Off | Quality::Fault) {
+        bail!(
+            "nothing is loaded while offsets are being followed (the bridge is {}): let the CNC \
+             disengage first",
+            quality_word(quality)
+        );
+    }
+    Ok(())
 }
 
 /// Asks for a yes.

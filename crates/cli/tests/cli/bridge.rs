@@ -282,7 +282,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
     let (desk, _) = other();
     for (fault, engage, phrases) in [
         // Which of them depends on when the bridge has gone live.
-        (Fault::None, true, &["offsets are being followed", "with Engage off, and load again"][..]),
+        (Fault::None, true, &["offsets are being followed", "with Engage off, and try again"][..]),
         (Fault::Forgetful, false, &["error: what the bridge has stored is not what was sent"]),
         (
             Fault::Full,

@@ -28,12 +28,16 @@ mod round_trips;
 mod screen;
 mod sign;
 mod simulate;
+#[cfg(unix)]
+mod slots_board;
 mod streams;
 #[cfg(target_os = "linux")]
 mod terminal;
 mod tour;
 mod tutorial;
 mod units;
+#[cfg(unix)]
+mod update;
 mod virtual_probe;
 mod who;
 mod wire;

@@ -112,7 +112,7 @@ pub fn paper() -> Compiled {
 }
 
 /// Returns a node that runs on this blob, as after a start.
-fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
+pub fn started(blob: &'static [u8]) -> (Node<'static>, Port) {
     let mut node = Node::new(Some(decode(blob).expect("a calibration")), false);
     node.set_blob(blob);
     node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));

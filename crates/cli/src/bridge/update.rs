@@ -1,0 +1,224 @@
+//! `trueup bridge update`: a new firmware to the slot that does not run, checked before the board is touched, shown
+//! against what it runs, asked for, sent, and started on trial.
+
+use std::{
+    path::{Path, PathBuf},
+    sync::atomic::{AtomicBool, Ordering},
+};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+use clap::Args;
+use serde_json::json;
+use trueup_boot::{layout::Slot, record::Status, refusal::Refusal};
+use trueup_client::{
+    firmware::{self, Refused, Stored},
+    firmware_file::{FirmwareFile, MAX_BYTES, SlotFirmware},
+    firmware_slots::{SlotsState, StartChoice, Unsuitable},
+    port::Port as Line,
+    session::Session,
+};
+
+use super::{
+    Port,
+    asks::Asks,
+    load::{How, agreed, check_at_rest},
+    who,
+};
+use crate::{Outcome, UserError, files, output};
+
+#[derive(Args)]
+pub struct Update {
+    /// The firmware, signed for both slots, as a release has it.
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    port: Port,
+    /// Update without asking: for scripts.
+    #[arg(long)]
+    yes: bool,
+    /// Leave the board running on the firmware it has; the new one is used from its next start.
+    #[arg(long)]
+    keep_running: bool,
+}
+
+/// Set by Ctrl-C: the update ends behind the bytes that the board has.
+static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+/// The result of an update.
+struct Updated {
+    stored: Stored,
+    /// The slots before, and now.
+    slots: [SlotsState; 2],
+    /// The questions of the bridge to its operator now.
+    asks: Asks,
+}
+
+/// Updates the board with the firmware of a file.
+pub fn run(args: &Update, as_json: bool) -> Result<Outcome> {
+    // What counts is what becomes of the board.
+    trueup_output::best_effort();
+    let file = read(&args.file)?;
+    let how = How { yes: args.yes, keep_running: args.keep_running };
+    how.can_ask(as_json)?;
+    let port = Line::parse(&args.port.port)?;
+    ctrlc::set_handler(|| IS_INTERRUPTED.store(true, Ordering::Relaxed))
+        .context("signal handler")?;
+    let mut session = Session::open(&port)?;
+    let updated = update(&mut session, &file, how);
+    session.close();
+    let (firmware, updated) = updated.map_err(in_words)?;
+    let slot = firmware.image.header.slot;
+    let is_met = how.keep_running || updated.slots[1].running == slot;
+    if as_json {
+        output::print(updated.json(firmware, how))?;
+    } else {
+        updated.print(firmware, how)?;
+    }
+    Ok(if is_met { Outcome::Done } else { Outcome::NotMet })
+}
+
+/// Reads and checks a file.
+fn read(path: &Path) -> Result<FirmwareFile, UserError> {
+    let bytes = files::bytes(path, MAX_BYTES)?;
+    FirmwareFile::parse(&bytes).map_err(|error| UserError(format!("{}: {error}", path.display())))
+}
+
+/// An error that another file mends is one of the user's.
+fn in_words(error: anyhow::Error) -> anyhow::Error {
+    if let Some(unsuitable) = error.downcast_ref::<Unsuitable>() {
+        return UserError(format!("nothing is erased: {unsuitable}")).into();
+    }
+    match error.downcast_ref::<Refused>() {
+        Some(refused) if refused.is_of_the_file() => {
+            UserError(format!("{refused}. What runs is as before")).into()
+        }
+        _ => error,
+    }
+}
+
+/// Shows what goes where, asks, and updates.
+fn update<'f>(
+    session: &mut Session,
+    file: &'f FirmwareFile,
+    how: How,
+) -> Result<(&'f SlotFirmware, Updated)> {
+    firmware::clear(session)?;
+    check_at_rest(session)?;
+    let Some(before) = SlotsState::ask(session)? else {
+        bail!(UserError(format!(
+            "nothing is erased: {}. trueup firmware writes the images that this tool carries",
+            Refusal::NoSlots
+        )));
+    };
+    let firmware = before.part_of(file)?;
+    let header = firmware.image.header;
+    for slot in Slot::BOTH {
+        let runs = if slot == before.running { " (runs)" } else { "" };
+        let content = before.content(slot);
+        trueup_output::diagnostic(format_args!("slot {}: {content}{runs}", slot.name()));
+    }
+    trueup_output::diagnostic(format_args!(
+        "{} ({} bytes) goes to slot {}, which is erased; slot {} stays as it is, to go back to",
+        header.version,
+        header.length,
+        header.slot.name(),
+        before.running.name()
+    ));
+    if header.floor > before.floor {
+        trueup_output::diagnostic(format_args!(
+            "once it is confirmed, no version below {} may start any more",
+            header.floor
+        ));
+    }
+    if !how.yes && !agreed("Update it? [y/N] ")? {
+        bail!(UserError("not updated: you have not said yes".into()));
+    }
+    let bar = who::bar("updating", header.length as usize);
+    let stored = firmware::store(session, firmware, &mut |bytes| {
+        bar.set_position(bytes.into());
+        match IS_INTERRUPTED.load(Ordering::Relaxed) {
+            true => Err(anyhow!("you have stopped it")),
+            false => Ok(()),
+        }
+    });
+    bar.finish_and_clear();
+    let stored = stored?;
+    let now = match how.keep_running {
+        true => SlotsState::ask(session)?.unwrap_or(before),
+        false => firmware::restart(session, header.slot)
+            .context("the firmware is on the board, and starts next")?,
+    };
+    let asks = Asks::of(session)?;
+    Ok((firmware, Updated { stored, slots: [before, now], asks }))
+}
+
+impl Updated {
+    fn json(&self, firmware: &SlotFirmware, how: How) -> serde_json::Value {
+        let header = firmware.image.header;
+        let [before, now] = &self.slots;
+        json!({
+            "version": header.version.to_string(),
+            "slot": header.slot.name(),
+            "bytes": header.length,
+            "resumed_from": self.stored.resumed_from,
+            "restarted": !how.keep_running,
+            "runs": now.running == header.slot,
+            "slots_before": before.json(),
+            "slots": now.json(),
+            "asks": self.asks.words(),
+        })
+    }
+
+    fn print(&self, firmware: &SlotFirmware, how: How) -> Result<()> {
+        let header = firmware.image.header;
+        let (version, slot) = (header.version, header.slot.name());
+        let resumed = match self.stored.resumed_from {
+            0 => String::new(),
+            byte => format!(", the first {byte} of them by an earlier command"),
+        };
+        output::print(format_args!(
+            "{} bytes in slot {slot}{resumed}; the board has verified CRC, SHA-256 and signature",
+            header.length
+        ))?;
+        let [_, now] = &self.slots;
+        let (running, content) = (now.running.name(), now.content(now.running));
+        let target = now.content(header.slot);
+        output::print(match (how.keep_running, now.running == header.slot) {
+            (true, _) => format!(
+                "{version} is used from the next start; now the bridge runs from slot {running}: {content}"
+            ),
+            (false, true) => self.started(),
+            (false, false) => {
+                let why = match target.status {
+                    Some(Status::Rejected) => "it crashed, hung, or reset the board at its start",
+                    Some(Status::Verified) => {
+                        "it did not hold at the start, or the board has not restarted"
+                    }
+                    _ => "the boot program has passed it over",
+                };
+                format!(
+                    "the bridge has restarted, and runs from slot {running} as before: {content}\n\
+                     slot {slot}: {target}; {why}. Report it, with what trueup bridge info prints"
+                )
+            }
+        })?;
+        if how.keep_running { Ok(()) } else { self.asks.print() }
+    }
+
+    /// Returns what to do with a firmware that has started.
+    fn started(&self) -> String {
+        let [_, now] = &self.slots;
+        let (slot, other) = (now.running, now.running.other());
+        let (content, back) = (now.content(slot), now.content(other));
+        let begin =
+            format!("the bridge has restarted, and runs from slot {}: {content}", slot.name());
+        match now.choice() {
+            StartChoice::Trial(_) => format!(
+                "{begin}\nengage, and let it give offsets for a minute: that confirms it. Until then a crash or a hang goes \
+                 back to slot {}: {back}",
+                other.name()
+            ),
+            choice => format!("{begin}\n{choice}"),
+        }
+    }
+}

@@ -1,0 +1,296 @@
+//! A new firmware to a board: its header, for which the board checks and erases the other slot, then the bytes behind
+//! it, and the restart.
+//!
+//! ```text
+//!   look at 0x2120:03 ─► none of this file ─► header ──┐      a frame is lost: look again, a few times
+//!           ▲       └──► some of it ─────► the rest ───┼──► verified by the board
+//!           └──────────── not answered, or busy ◄──────┘
+//! ```
+//!
+//! So a line that was cut costs nothing that has come: the same command goes on behind it, as long as the board was not
+//! restarted. What runs meanwhile stays as it is.
+
+use std::{
+    error::Error,
+    fmt,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+use trueup_boot::{header::HEADER_SIZE, layout::Slot, record::Status, refusal::Refusal};
+use trueup_canopen::sdo::{
+    Abort,
+    client::{ClientError, give_up},
+};
+
+use crate::{
+    firmware_file::SlotFirmware,
+    firmware_slots::SlotsState,
+    load::{ask_leave, restart_until},
+    object::{
+        self, FIRMWARE_HEADER, FIRMWARE_IMAGE, FIRMWARE_RECEIVED, FIRMWARE_REFUSED, FIRMWARE_TAG,
+    },
+    session::Session,
+};
+
+/// Tries in a row that bring the board no byte, before an update is given up.
+const MAX_IDLE_TRIES: u32 = 5;
+/// From one try to the next: a board that verifies an image takes up to 0.4 s at full speed.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// The board refuses the firmware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refused {
+    /// Its reason; `None`: one of a later version.
+    pub reason: Option<Refusal>,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.reason {
+            None => f.write_str(
+                "the board refuses it for a reason that this tool does not know: update the tool",
+            ),
+            Some(reason) => {
+                write!(f, "the board refuses it: {reason}")?;
+                match remedy(reason) {
+                    "" => Ok(()),
+                    remedy => write!(f, ". {remedy}"),
+                }
+            }
+        }
+    }
+}
+
+impl Error for Refused {}
+
+impl Refused {
+    /// Returns whether another file may be taken: the board itself is well.
+    #[must_use]
+    pub const fn is_of_the_file(&self) -> bool {
+        !matches!(self.reason, Some(Refusal::Flash | Refusal::NotStored))
+    }
+}
+
+/// Returns what to do about a refusal, where its words do not say it.
+const fn remedy(reason: Refusal) -> &'static str {
+    match reason {
+        Refusal::Signature => {
+            "Take the file of the board's maker; one that is signed with another key needs a new boot program by the probe"
+        }
+        Refusal::NoHeader | Refusal::Length | Refusal::Damaged => {
+            "The line may have damaged it: update again"
+        }
+        Refusal::OtherSlot => "The board has restarted meanwhile: update again",
+        Refusal::BelowFloor | Refusal::OwnFloor | Refusal::NotNewer => "Take a newer file",
+        Refusal::Flash | Refusal::NotStored => {
+            "Update again; if it stays so, the flash of the board is worn: replace the board"
+        }
+        Refusal::Format | Refusal::Unconfirmed | Refusal::NoSlots => "",
+    }
+}
+
+/// An update that has ended before all of it was on the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Interrupted {
+    /// Bytes that the board has acknowledged, the header included; a block of them more or less.
+    pub received: u32,
+    /// Bytes of the whole.
+    pub length: u32,
+}
+
+impl fmt::Display for Interrupted {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { received, length } = self;
+        write!(
+            f,
+            "interrupted near byte {received} of {length}: the board keeps what has come, and runs on as before. The same \
+             command goes on there; after a restart of the board it begins anew"
+        )
+    }
+}
+
+impl Error for Interrupted {}
+
+/// The way of an update that has arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stored {
+    /// Bytes that an earlier command had sent; 0: it began anew.
+    pub resumed_from: u32,
+}
+
+/// Ends a transfer that an earlier command has left open: a board that waits for segments would take the next question for one.
+///
+/// # Errors
+/// The line breaks.
+pub fn clear(session: &mut Session) -> Result<()> {
+    session.send(&give_up(FIRMWARE_IMAGE))
+}
+
+/// Sends a firmware to the slot that does not run, from the byte on that the board does not have yet. The board then
+/// starts it next. `progress` receives the bytes that the board has, or is just being sent, the header included; an
+/// error of it ends the update.
+///
+/// # Errors
+/// [`Refused`]; [`Interrupted`] in front of the reason, where the board has a part; the board may not be written to; the
+/// line breaks.
+pub fn store(
+    session: &mut Session,
+    firmware: &SlotFirmware,
+    progress: &mut dyn FnMut(u32) -> Result<()>,
+) -> Result<Stored> {
+    let length = firmware.image.header.length;
+    let mut reached = 0;
+    send(session, firmware, &mut reached, progress).map_err(|error| {
+        if reached == 0 || error.is::<Refused>() {
+            return error;
+        }
+        error.context(Interrupted { received: reached, length })
+    })
+}
+
+/// Does the same; `reached` receives the bytes that the board has acknowledged.
+fn send(
+    session: &mut Session,
+    firmware: &SlotFirmware,
+    reached: &mut u32,
+    progress: &mut dyn FnMut(u32) -> Result<()>,
+) -> Result<Stored> {
+    let mut resumed_from = None;
+    let (mut is_under_way, mut idle_tries) = (false, 0);
+    loop {
+        ask_leave(session)?;
+        let begin = received(session, firmware)?;
+        if resumed_from.is_none() {
+            is_under_way = begin > 0;
+        }
+        let resumed_from = *resumed_from.get_or_insert(begin);
+        if begin > *reached {
+            idle_tries = 0;
+        }
+        *reached = begin;
+        if begin == firmware.image.header.length && is_verified(session, firmware)? {
+            return Ok(Stored { resumed_from });
+        }
+        let is_header = begin == 0;
+        let rest = firmware.bytes.get(begin as usize..).unwrap_or_default();
+        let (at, data) = match is_header {
+            true => (FIRMWARE_HEADER, rest.get(..HEADER_SIZE).unwrap_or(rest)),
+            false => (FIRMWARE_IMAGE, rest),
+        };
+        let mut asked = begin;
+        let sent = object::write_in_blocks(session, at, data, |count| {
+            // The header counts once the board has checked it and erased the slot.
+            if !is_header {
+                *reached = asked;
+            }
+            asked = begin.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
+            progress(asked)
+        });
+        match sent {
+            // A board that drops it again, as one does that restarts, is not to erase its flash for ever.
+            Ok(()) if is_header && idle_tries + 1 >= MAX_IDLE_TRIES => bail!(
+                "the board has taken the header {MAX_IDLE_TRIES} times and has none of it: does it restart by itself?"
+            ),
+            Ok(()) if is_header => (is_under_way, idle_tries) = (true, idle_tries + 1),
+            Ok(()) => return Ok(Stored { resumed_from }),
+            Err(error) => {
+                // In a block a board takes whatever comes for a segment.
+                session.send(&give_up(at))?;
+                let is_value = is_abort(&error, Abort::Value);
+                if !is_value && !may_pass(&error) {
+                    return Err(error);
+                }
+                if let Some(refused) = refused(session, is_under_way || is_value)? {
+                    return Err(refused.into());
+                }
+                if is_value {
+                    return Err(error);
+                }
+                if *reached > begin {
+                    idle_tries = 0;
+                }
+                idle_tries += 1;
+                if idle_tries >= MAX_IDLE_TRIES {
+                    return Err(error);
+                }
+                let end = Instant::now() + PAUSE;
+                while session.next_event(end)?.is_some() {}
+            }
+        }
+    }
+}
+
+/// Restarts a board and waits until it answers again. Returns its slots: it runs from `slot`, or has rejected what is
+/// there, or has gone on with the other one for 5 s.
+///
+/// # Errors
+/// The board does not come back.
+pub fn restart(session: &mut Session, slot: Slot) -> Result<SlotsState> {
+    ask_leave(session)?;
+    restart_until(
+        session,
+        |it| SlotsState::ask(it)?.context("the board has no firmware slots any more"),
+        |now| now.running == slot || now.content(slot).status == Some(Status::Rejected),
+    )
+}
+
+/// Returns how many bytes of this firmware the board has; 0: it has none of it.
+fn received(session: &mut Session, firmware: &SlotFirmware) -> Result<u32> {
+    let received = object::number(session, FIRMWARE_RECEIVED)?;
+    let is_possible = (HEADER_SIZE..=firmware.bytes.len()).contains(&(received as usize));
+    if !is_possible || object::number(session, FIRMWARE_TAG)? != firmware.image.tag {
+        return Ok(0);
+    }
+    Ok(received)
+}
+
+/// Returns whether the board has verified what it has received whole.
+fn is_verified(session: &mut Session, firmware: &SlotFirmware) -> Result<bool> {
+    let slots = SlotsState::ask(session)?.context("the board has no firmware slots any more")?;
+    Ok(slots.content(firmware.image.header.slot).status == Some(Status::Verified))
+}
+
+/// Returns the refusal of the firmware under way. An earlier one stays readable until a header is accepted, so none
+/// counts before.
+fn refused(session: &mut Session, is_under_way: bool) -> Result<Option<Refused>> {
+    if !is_under_way {
+        return Ok(None);
+    }
+    let number = object::number(session, FIRMWARE_REFUSED)?;
+    let reason = u8::try_from(number).ok().and_then(Refusal::of);
+    Ok((number != 0).then_some(Refused { reason }))
+}
+
+/// Returns whether the same may be taken a moment later: a frame was lost, or the board is at a step.
+fn may_pass(error: &anyhow::Error) -> bool {
+    object::may_be_the_line(error)
+        || is_abort(error, Abort::DeviceState)
+        || is_abort(error, Abort::CannotStore)
+}
+
+fn is_abort(error: &anyhow::Error, abort: Abort) -> bool {
+    matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if *code == abort.code())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_refusal_says_why_and_what_to_do() {
+        for reason in Refusal::ALL {
+            let refused = Refused { reason: Some(reason) };
+            let said = refused.to_string();
+            assert!(said.starts_with("the board refuses it: "), "{said}");
+            // In its own words, or behind them.
+            let has_remedy = said.contains(". ") || reason.to_string().contains(':');
+            assert!(has_remedy, "{said}");
+            assert_eq!(
+                refused.is_of_the_file(),
+                !matches!(reason, Refusal::Flash | Refusal::NotStored)
+            );
+        }
+        assert!(Refused { reason: None }.to_string().contains("update the tool"));
+    }
+}

@@ -1,0 +1,368 @@
+//! The firmware slots of a board (object 0x2121): versions, status, and why the last start chose the one that runs.
+
+use std::fmt;
+
+use anyhow::{Context as _, Result};
+use serde_json::{Value, json};
+use trueup_boot::{
+    header::Version,
+    layout::Slot,
+    record::{MAX_STARTS, Status},
+};
+use trueup_canopen::sdo::{Abort, client::ClientError};
+
+use crate::{
+    firmware_file::{FirmwareFile, SlotFirmware},
+    object::{self, FIRMWARE_FLOOR, RUNNING_SLOT, SLOT_STATUS, SLOT_VERSION},
+    session::Session,
+};
+
+/// The content of a slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlotContent {
+    /// `None`: no valid header is there.
+    pub version: Option<Version>,
+    /// `None`: a status of a later version of the board.
+    pub status: Option<Status>,
+}
+
+/// Both slots of a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlotsState {
+    /// The one that runs.
+    pub running: Slot,
+    /// A, B.
+    pub slots: [SlotContent; 2],
+    /// The oldest version that may start.
+    pub floor: Version,
+}
+
+/// Why the last start chose the slot that runs, by what the slots hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartChoice {
+    /// It is confirmed, and there is no other one.
+    Only,
+    /// It is confirmed, and no older than the other one.
+    Newest,
+    /// It is on trial: which start of [`MAX_STARTS`] this is.
+    Trial(u8),
+    /// It is not confirmed, but there is none to go back to.
+    Alone,
+    /// It is confirmed; the newer one has come since, and waits for the next start.
+    NewerWaits,
+    /// It is confirmed; the newer one failed its trial.
+    NewerRejected,
+    /// It is confirmed; the newer one has not come whole.
+    NewerIncomplete,
+    /// It is confirmed; the newer one was passed over, for its CRC or signature does not hold.
+    NewerDamaged,
+    /// It failed its trial or is incomplete, but the other one does not hold.
+    LastResort,
+    /// The board reports a status that this tool does not know.
+    Unknown,
+}
+
+/// Why a board must not get a file, found before anything is erased.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unsuitable {
+    /// The file has no part for the slot that is to be written.
+    NoPart {
+        /// The slot that runs, and stays.
+        running: Slot,
+    },
+    /// It would never start.
+    NotNewer {
+        /// The version of the file.
+        file: Version,
+        /// The version that runs.
+        running: Version,
+    },
+    /// It must not start.
+    BelowFloor {
+        /// The version of the file.
+        file: Version,
+        /// The oldest version that may start.
+        floor: Version,
+    },
+    /// The firmware that runs is on trial, and the other slot holds the one to go back to.
+    OnTrial,
+}
+
+impl SlotContent {
+    /// Returns the status in one word, as JSON has it.
+    #[must_use]
+    pub const fn word(&self) -> &'static str {
+        match self.status {
+            None => "unknown",
+            Some(Status::Loading) => "loading",
+            Some(_) if self.version.is_none() => "empty",
+            Some(Status::New) => "new",
+            Some(Status::Verified) => "verified",
+            Some(Status::Trial(_) | Status::Announced(_)) => "trial",
+            Some(Status::Confirmed) => "confirmed",
+            Some(Status::Rejected) => "rejected",
+        }
+    }
+
+    /// Returns how often it has started on trial; `None`: it is not on trial.
+    #[must_use]
+    pub const fn starts(&self) -> Option<u8> {
+        match self.status {
+            Some(Status::Trial(starts) | Status::Announced(starts)) => Some(starts),
+            _ => None,
+        }
+    }
+
+    /// Returns whether it starts before one that is incomplete or has failed.
+    fn is_eligible(&self) -> bool {
+        self.version.is_some() && self.status.is_some_and(Status::is_eligible)
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "version": self.version.map(|it| it.to_string()),
+            "status": self.word(),
+            "starts": self.starts(),
+        })
+    }
+}
+
+impl fmt::Display for SlotContent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(version) = self.version {
+            write!(f, "{version}, ")?;
+        }
+        match (self.starts(), self.word()) {
+            (Some(starts), _) => write!(f, "on trial, start {starts} of {MAX_STARTS}"),
+            (None, word) => f.write_str(match word {
+                "loading" => "loading: it has not come whole",
+                "new" => "new: a probe or the ROM loader has written it",
+                "verified" => "verified: it waits for the next start",
+                "rejected" => "rejected: it failed its trial",
+                "unknown" => "in a status that this tool does not know: update the tool",
+                word => word,
+            }),
+        }
+    }
+}
+
+impl fmt::Display for StartChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let words = match self {
+            Self::Only => "it is confirmed, and the only one",
+            Self::Newest => "it is confirmed, and the newest",
+            Self::Trial(starts) => {
+                return write!(
+                    f,
+                    "it is the newest, and on trial: start {starts} of {MAX_STARTS}. Engage and let it give offsets for a \
+                     minute; until then a crash or a hang goes back to the other one"
+                );
+            }
+            Self::Alone => "it is not confirmed, and there is none to go back to",
+            Self::NewerWaits => "it is confirmed; the newer one waits for the next start",
+            Self::NewerRejected => "it is confirmed; the newer one failed its trial",
+            Self::NewerIncomplete => "it is confirmed; the newer one has not come whole",
+            Self::NewerDamaged => {
+                "it is confirmed; the CRC or the signature of the newer one does not hold"
+            }
+            Self::LastResort => {
+                "it failed its trial or has not come whole, but no other one may start: update it"
+            }
+            Self::Unknown => "the slots are in a status that this tool does not know: update it",
+        };
+        f.write_str(words)
+    }
+}
+
+impl fmt::Display for Unsuitable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::NoPart { running } => write!(
+                f,
+                "the board runs from slot {}, so slot {} is to be written, and the file has no part for it. Take the \
+                 file with both parts",
+                running.name(),
+                running.other().name()
+            ),
+            Self::NotNewer { file, running } => write!(
+                f,
+                "the file has version {file}, which is not newer than {running}, which runs: it would never start. Take \
+                 a newer file; the probe or the ROM loader writes any version"
+            ),
+            Self::BelowFloor { file, floor } => write!(
+                f,
+                "the file has version {file}, which is older than {floor}, the oldest that may start. Take a newer file"
+            ),
+            Self::OnTrial => f.write_str(
+                "the firmware that runs is on trial, and the other slot holds the one to go back to. Engage, let it give \
+                 offsets for a minute, then update",
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Unsuitable {}
+
+impl SlotsState {
+    /// Asks a board for its slots; `None`: it has none.
+    ///
+    /// # Errors
+    /// The line breaks, or the board reports a slot that is neither.
+    pub fn ask(session: &mut Session) -> Result<Option<Self>> {
+        let running = match object::number(session, RUNNING_SLOT) {
+            Err(error) if is_without_slots(&error) => return Ok(None),
+            running => running?,
+        };
+        let running = Slot::BOTH.into_iter().find(|slot| u32::from(slot.number()) == running);
+        let running = running.context("the bridge runs from a slot that is neither A nor B")?;
+        let slots = [content(session, Slot::A)?, content(session, Slot::B)?];
+        let floor = Version(object::number(session, FIRMWARE_FLOOR)?);
+        Ok(Some(Self { running, slots, floor }))
+    }
+
+    /// Returns the content of a slot.
+    #[must_use]
+    pub const fn content(&self, slot: Slot) -> &SlotContent {
+        slot.of(&self.slots)
+    }
+
+    /// Returns why the last start chose the slot that runs, by the rules of `trueup_boot::start`.
+    #[must_use]
+    pub fn choice(&self) -> StartChoice {
+        let (ours, other) = (self.content(self.running), self.content(self.running.other()));
+        let Some(status) = ours.status else { return StartChoice::Unknown };
+        match status {
+            Status::Trial(starts) | Status::Announced(starts) => StartChoice::Trial(starts),
+            Status::New | Status::Verified => StartChoice::Alone,
+            Status::Loading | Status::Rejected => StartChoice::LastResort,
+            // A new one that comes has no header yet, or is one of a version that is known.
+            Status::Confirmed if other.version.is_none() => StartChoice::Only,
+            Status::Confirmed if other.version <= ours.version => StartChoice::Newest,
+            Status::Confirmed => match other.status {
+                None => StartChoice::Unknown,
+                Some(Status::Verified) => StartChoice::NewerWaits,
+                Some(Status::Rejected) => StartChoice::NewerRejected,
+                Some(Status::Loading) => StartChoice::NewerIncomplete,
+                Some(Status::New | Status::Trial(_) | Status::Announced(_) | Status::Confirmed) => {
+                    StartChoice::NewerDamaged
+                }
+            },
+        }
+    }
+
+    /// Returns the part of a file that the board is to get.
+    ///
+    /// # Errors
+    /// [`Unsuitable`]: the board would refuse it, or never start it.
+    pub fn part_of<'f>(&self, file: &'f FirmwareFile) -> Result<&'f SlotFirmware, Unsuitable> {
+        let spare = self.running.other();
+        let part = file.part(spare).ok_or(Unsuitable::NoPart { running: self.running })?;
+        let (version, floor) = (file.version(), self.floor);
+        let ours = self.content(self.running);
+        if let Some(running) = ours.version.filter(|running| version <= *running) {
+            return Err(Unsuitable::NotNewer { file: version, running });
+        }
+        if version < floor {
+            return Err(Unsuitable::BelowFloor { file: version, floor });
+        }
+        // One whose status is not known is the board's to refuse.
+        let is_confirmed = ours.status.is_none_or(|it| it == Status::Confirmed);
+        if !is_confirmed && self.content(spare).is_eligible() {
+            return Err(Unsuitable::OnTrial);
+        }
+        Ok(part)
+    }
+
+    /// Returns both slots as JSON.
+    #[must_use]
+    pub fn json(&self) -> Value {
+        json!({
+            "running": self.running.name(),
+            "a": self.content(Slot::A).json(),
+            "b": self.content(Slot::B).json(),
+            "oldest_version": self.floor.to_string(),
+            "chosen_because": self.choice().to_string(),
+        })
+    }
+}
+
+fn content(session: &mut Session, slot: Slot) -> Result<SlotContent> {
+    let version = object::number(session, *slot.of(&SLOT_VERSION))?;
+    let [status, starts, ..] = object::number(session, *slot.of(&SLOT_STATUS))?.to_le_bytes();
+    Ok(SlotContent {
+        version: (version != 0).then_some(Version(version)),
+        status: Status::decode([status, starts]),
+    })
+}
+
+/// Returns whether a board has refused an object because it has no slots.
+fn is_without_slots(error: &anyhow::Error) -> bool {
+    let codes = [Abort::NoData, Abort::NoObject, Abort::NoSubindex].map(Abort::code);
+    matches!(error.downcast_ref(), Some(ClientError::Aborted { code, .. }) if codes.contains(code))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OLD: Option<Version> = Some(Version::new(1, 0, 0, 0));
+    const NEW: Option<Version> = Some(Version::new(1, 1, 0, 0));
+
+    /// The board runs from B.
+    fn state(ours: (Option<Version>, Status), other: (Option<Version>, Status)) -> SlotsState {
+        let content =
+            |(version, status): (_, Status)| SlotContent { version, status: Some(status) };
+        let slots = [content(other), content(ours)];
+        SlotsState { running: Slot::B, slots, floor: Version(0) }
+    }
+
+    #[test]
+    fn each_start_is_explained_by_statuses_and_versions() {
+        use Status::{Announced, Confirmed, Loading, New, Rejected, Trial, Verified};
+        for (ours, other, choice) in [
+            ((OLD, Confirmed), (None, New), StartChoice::Only),
+            ((OLD, Confirmed), (None, Loading), StartChoice::Only),
+            ((NEW, Confirmed), (OLD, Confirmed), StartChoice::Newest),
+            ((NEW, Confirmed), (NEW, Verified), StartChoice::Newest),
+            ((NEW, Confirmed), (OLD, Rejected), StartChoice::Newest),
+            ((NEW, Trial(2)), (OLD, Confirmed), StartChoice::Trial(2)),
+            ((NEW, Announced(5)), (OLD, Confirmed), StartChoice::Trial(5)),
+            ((OLD, New), (None, New), StartChoice::Alone),
+            ((NEW, Verified), (OLD, Rejected), StartChoice::Alone),
+            ((OLD, Confirmed), (NEW, Verified), StartChoice::NewerWaits),
+            ((OLD, Confirmed), (NEW, Rejected), StartChoice::NewerRejected),
+            ((OLD, Confirmed), (NEW, Loading), StartChoice::NewerIncomplete),
+            ((OLD, Confirmed), (NEW, New), StartChoice::NewerDamaged),
+            ((OLD, Confirmed), (NEW, Trial(1)), StartChoice::NewerDamaged),
+            ((OLD, Confirmed), (NEW, Announced(1)), StartChoice::NewerDamaged),
+            ((OLD, Confirmed), (NEW, Confirmed), StartChoice::NewerDamaged),
+            ((NEW, Rejected), (OLD, Confirmed), StartChoice::LastResort),
+            ((NEW, Loading), (None, New), StartChoice::LastResort),
+        ] {
+            assert_eq!(state(ours, other).choice(), choice, "{ours:?} {other:?}");
+        }
+        let mut later = state((OLD, Confirmed), (NEW, Confirmed));
+        later.slots[0].status = None;
+        assert_eq!(later.choice(), StartChoice::Unknown);
+        later.slots[1].status = None;
+        assert_eq!(later.choice(), StartChoice::Unknown);
+    }
+
+    #[test]
+    fn a_slot_is_said_in_words() {
+        let word = |version, status| SlotContent { version, status }.to_string();
+        for (version, status, words) in [
+            (None, Some(Status::New), "empty"),
+            (None, Some(Status::Loading), "loading: it has not come whole"),
+            (OLD, Some(Status::New), "1.0.0, new: a probe or the ROM loader has written it"),
+            (OLD, Some(Status::Verified), "1.0.0, verified: it waits for the next start"),
+            (OLD, Some(Status::Trial(2)), "1.0.0, on trial, start 2 of 5"),
+            (OLD, Some(Status::Announced(3)), "1.0.0, on trial, start 3 of 5"),
+            (OLD, Some(Status::Confirmed), "1.0.0, confirmed"),
+            (OLD, Some(Status::Rejected), "1.0.0, rejected: it failed its trial"),
+        ] {
+            assert_eq!(word(version, status), words);
+        }
+        assert!(word(OLD, None).contains("update the tool"));
+    }
+}
