@@ -1,10 +1,10 @@
-//! The application loads a new image into the other slot, frame by frame, and the boot program starts it.
+//! The application is given a new image frame by frame over CAN, and refuses it; `chip_clients update` has the one that it takes.
 
-use trueup_boot::{header::HEADER_SIZE, layout::Slot, record::Status, refusal::Refusal};
+use trueup_boot::{header::HEADER_SIZE, layout::Slot, refusal::Refusal};
 
 use crate::{
     application::application,
-    board::{Board, CONFIRMS, boot, file, foreign, has},
+    board::{Board, boot, foreign},
     sdo_script::{download, questions},
 };
 
@@ -12,7 +12,6 @@ const HEADER: (u16, u8) = (0x2120, 1);
 const IMAGE: (u16, u8) = (0x2120, 2);
 const RECEIVED: (u16, u8) = (0x2120, 3);
 const REFUSED: (u16, u8) = (0x2120, 5);
-const STATUS_OF_B: (u16, u8) = (0x2121, 5);
 /// The board is up, and has heard `Service`.
 const BEGIN_MS: f64 = 500.0;
 /// An erase of two sectors of 128 KB: the model takes the data sheet's longest times.
@@ -37,30 +36,6 @@ fn answer(events: &[String], (index, subindex): (u16, u8)) -> Option<u32> {
         let number = [byte(4)?, byte(5)?, byte(6)?, byte(7)?];
         is_it.then(|| u32::from_le_bytes(number))
     })
-}
-
-#[test]
-#[ignore = "long: the application on the model of the chip"]
-fn the_application_loads_an_image_frame_by_frame_and_it_starts() {
-    let Some(_) = boot() else { return };
-    let new = file(Slot::B, 2, 0, CONFIRMS);
-    let board = Board::with(&application(Slot::A, 1), &[]).expect("it is there");
-    let (frames, end) = update(&new);
-    let ask = end + 400.0;
-    let script = format!(
-        "{frames}{}{} frame 000 8101\n",
-        questions(&[RECEIVED, REFUSED, STATUS_OF_B], ask),
-        ask + 50.0
-    );
-    let report = board.report((ask + 700.0) as u32, &script, &[]);
-    let told = [RECEIVED, REFUSED, STATUS_OF_B].map(|at| answer(&report.events, at));
-    let verified = u16::from_le_bytes(Status::Verified.encode()).into();
-    assert_eq!(told, [Some(new.len() as u32), Some(0), Some(verified)], "{}", report.said);
-    assert_eq!(board.slot(Slot::B)[..new.len()], new);
-    let said = report.events.iter().any(|event| event.ends_with("serial B"));
-    assert!(said, "{}", report.said);
-    // It stays: the small image has confirmed itself.
-    assert!(has(&board.live(600, "", &[]), "B"));
 }
 
 #[test]

@@ -63,7 +63,7 @@ fn the_tool_updates_a_board_goes_on_after_a_kill_and_the_old_file_is_refused() -
 
     // The tool is killed in the middle of the image.
     let child = update(line.port, &new.update)?.spawn()?;
-    thread::sleep(Duration::from_secs(25));
+    thread::sleep(Duration::from_secs(15));
     kill(child)?;
     let began = Instant::now();
     let said = whole_update(line.port, &new.update).context("after the kill")?;
