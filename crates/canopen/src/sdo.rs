@@ -28,8 +28,9 @@ pub use abort::Abort;
 pub const TIMEOUT_MS: u32 = 5_000;
 /// Bytes of data in a segment.
 const SEGMENT: usize = 7;
-/// Segments of a block: [`Objects::is_ready`] is asked for room for them before each block.
-pub const BLOCK: u8 = 64;
+/// Segments of a block: [`Objects::is_ready`] is asked for room for them before each block. No command that starts a transfer
+/// is a number up to this one, so a new master is heard where an old one has left a block unfinished.
+pub const BLOCK: u8 = 31;
 
 /// A value as it is read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,7 +140,7 @@ impl Server {
         let at = (u16::from_le_bytes([low, high]), subindex);
         self.silent_ms = 0;
         if let Phase::Block { at, what, block } = self.phase
-            && command != ABORT
+            && block.may_be(command)
         {
             return match self.hear_block(at, what, block, request.data(), objects) {
                 Ok(answer) => answer.map(|data| Frame::full(SDO_ANSWER_ID, data)),

@@ -10,8 +10,6 @@ pub enum Abort {
     Timeout = 0x0504_0000,
     /// An unsupported command: a block upload, or a segment without a transfer.
     Command = 0x0504_0001,
-    /// A segment of a block has a number that no segment has.
-    Sequence = 0x0504_0003,
     /// The CRC of a block transfer is not that of its bytes.
     Crc = 0x0504_0004,
     /// An object that can only be written is read.
@@ -42,11 +40,10 @@ pub enum Abort {
 
 impl Abort {
     /// All of them.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 16] = [
         Self::Toggle,
         Self::Timeout,
         Self::Command,
-        Self::Sequence,
         Self::Crc,
         Self::WriteOnly,
         Self::ReadOnly,
@@ -69,7 +66,6 @@ impl Abort {
             Self::Toggle => "a segment was lost or came twice",
             Self::Timeout => "the transfer took too long",
             Self::Command => "no such command",
-            Self::Sequence => "a segment has a number that none has",
             Self::Crc => "bytes were damaged on the way",
             Self::WriteOnly => "it can only be written",
             Self::ReadOnly => "it can only be read",

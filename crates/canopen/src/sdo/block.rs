@@ -8,6 +8,9 @@ use super::{Abort, BLOCK, ObjectKind, Objects, Phase, SEGMENT, Server, find, ini
 
 type At = (u16, u8);
 
+/// Of a segment's number: nothing follows it.
+const IS_LAST: u8 = 1 << 7;
+
 /// State of a block download.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Block {
@@ -33,6 +36,16 @@ pub(super) fn step(crc: u16, byte: u8) -> u16 {
 }
 
 impl Block {
+    /// Returns whether a request of this command belongs to the transfer: a segment, or the end behind the last one.
+    pub(super) const fn may_be(&self, command: u8) -> bool {
+        self.is_end(command) || matches!(command & !IS_LAST, 1..=BLOCK)
+    }
+
+    /// Returns whether a command ends the transfer, after an answer to its last block.
+    const fn is_end(&self, command: u8) -> bool {
+        self.last.is_some() && !self.is_answer_due && command & 0xE3 == 0xC1
+    }
+
     /// Takes bytes that count.
     fn take(
         &mut self,
@@ -93,11 +106,9 @@ impl Server {
         request: &[u8; 8],
         objects: &mut impl Objects,
     ) -> Result<Option<[u8; 8]>, Abort> {
-        const IS_LAST: u8 = 1 << 7;
         let &[head, ref data @ ..] = request;
-        // After an answer to the last block: its master ends the transfer, for nothing else is left.
-        if let (Some(last), false) = (block.last, block.is_answer_due)
-            && head & 0xE3 == 0xC1
+        if let Some(last) = block.last
+            && block.is_end(head)
         {
             let &[low, high, ..] = data;
             let count = SEGMENT.saturating_sub(usize::from(head >> 2 & 7));
@@ -113,9 +124,6 @@ impl Server {
             return Ok(None);
         }
         let sequence = head & !IS_LAST;
-        if sequence == 0 || sequence > BLOCK {
-            return Err(Abort::Sequence);
-        }
         let is_next = sequence == block.sequence.saturating_add(1);
         if is_next && !block.is_answer_due && block.last.is_none() {
             block.sequence = sequence;

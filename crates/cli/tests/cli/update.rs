@@ -83,8 +83,8 @@ fn after_a_line_that_was_cut_the_same_command_goes_on_behind_what_has_come() {
     let (out, _) = desk.said(&line, 0);
     let done = json(&out);
     let resumed = done["resumed_from"].as_u64().expect("a number") as usize;
-    // The board has a block of 64 segments that it could not acknowledge.
-    assert!((from..=from + 64 * 7).contains(&resumed), "{from} {resumed}");
+    // The board has a block of 31 segments that it could not acknowledge.
+    assert!((from..=from + 31 * 7).contains(&resumed), "{from} {resumed}");
     assert_eq!((resumed - 512, written(&seen)), (first, BODY), "only the rest is sent");
     assert_eq!(seen.lock().expect("no holder panics").erases, 1, "erased once");
     assert_eq!(slot_b(&seen), part(Slot::B, 3, &maker()));

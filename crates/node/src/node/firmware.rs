@@ -15,7 +15,10 @@ use super::{Node, objects::abort};
 
 /// Bytes that wait for the board at the most: at one segment in 2 ms 0.14 s of them, 14 turns of its supervisor.
 const WAITING: usize = 512;
-const _: () = assert!(WAITING >= FIRMWARE_HEADER && WAITING >= 7 * sdo::BLOCK as usize);
+const _: () = assert!(WAITING >= FIRMWARE_HEADER && WAITING >= 2 * BLOCK_BYTES);
+
+/// Bytes of a block.
+const BLOCK_BYTES: usize = 7 * sdo::BLOCK as usize;
 
 /// Bytes on their way to the board.
 pub type Piece = Vec<u8, WAITING>;
@@ -202,11 +205,11 @@ impl Node<'_> {
         self.slot.append(bytes).map_err(abort)
     }
 
-    /// Returns whether the board has taken what had come, so that a whole block finds room.
+    /// Returns whether a whole block finds room.
     pub(super) fn is_firmware_ready(&self) -> bool {
         // The header is taken in one piece.
         self.firmware.transfer == Transfer::Header
-            || self.slot.gathered().is_empty() && !self.firmware.is_away
+            || self.slot.gathered().len().saturating_add(BLOCK_BYTES) <= WAITING
     }
 
     pub(super) fn close_firmware(&mut self) -> Result<(), Abort> {
