@@ -166,12 +166,13 @@ impl Health {
         // After a gap the first two say nothing.
         let squares = if self.continues { squares } else { squares.and(Some(0)) };
         let is_ordinary = squares.is_some_and(|squares| squares <= self.outstanding());
+        let [_, before] = self.before;
+        self.measure_noise(codes, squares);
         if is_ordinary {
             self.take_ordinary(codes);
         } else {
-            self.mend(codes);
+            self.mend(codes, before);
         }
-        self.measure_noise(codes, squares);
         // Before the first good code there is nothing that could stand in for a spike.
         let blind = self.good == Code(0);
         let believable = !self.lost && !blind && !self.frozen;
@@ -181,6 +182,7 @@ impl Health {
     /// The codes that come next do not begin where the last ones ended: some are missing.
     pub fn interrupt(&mut self) {
         self.continues = false;
+        self.following = 0;
     }
 
     /// Returns whether the sensor was somewhere else of late than anything on a machine gets in so short a time, and
@@ -216,10 +218,9 @@ impl Health {
     /// Code by code, for a block with a code at a rail, or with one that may be wild.
     #[cold]
     #[inline(never)]
-    fn mend(&mut self, codes: &[Code; CODES_PER_TICK]) {
+    fn mend(&mut self, codes: &[Code; CODES_PER_TICK], mut before: Code) {
         self.jumped = self.has_jumped();
         let mut mended = *codes;
-        let [_, mut before] = self.before;
         for code in &mut mended {
             let now = *code;
             let follows = is_near(before, now);
@@ -254,6 +255,10 @@ impl Health {
             }
         }
         self.mended = mended;
+        if self.following > 0 {
+            // Another level may have begun with the last codes. The next block, as smooth on it as any, is to be looked at.
+            self.before = [self.good; 2];
+        }
     }
 
     /// Returns whether a code goes on from the last good one, or is the last that another level needs.

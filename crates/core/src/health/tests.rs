@@ -212,6 +212,24 @@ fn a_level_out_of_reach_is_believed_with_its_fourth_code_and_told_for_100_ms() {
 }
 
 #[test]
+fn a_level_is_told_wherever_in_a_block_it_begins() {
+    for by in [60, 300, -600] {
+        for first in 0..CODES_PER_TICK {
+            let mut health = heard(2);
+            let jumped = |ms| running(ms, 0.0, 2).map(|code| Code(code.0.wrapping_add_signed(by)));
+            let mut codes = running(500, 0.0, 2);
+            codes[first..].copy_from_slice(&jumped(500)[first..]);
+            assert!(health.check(&codes, true).is_some());
+            let is_told = (501..503).any(|ms| {
+                assert!(health.check(&jumped(ms), true).is_some());
+                health.has_jumped()
+            });
+            assert!(is_told, "{by} from code {first} of a block on");
+        }
+    }
+}
+
+#[test]
 fn a_step_before_the_analogue_low_pass_is_told_from_30_um_on() {
     // Two poles at 2 kHz: 1 − (1 + ωt)·e^(−ωt).
     let told = |by: f64| {
