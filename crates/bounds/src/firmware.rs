@@ -150,6 +150,7 @@ const LOOPS: &[LoopBound] = &[
     bound("Emergencies::error", "", Times(8), "`HISTORY`, `canopen/src/emergency.rs`"),
     bound("Object::entry", "", Times(64), "the entries of an object"),
     bound("dictionary::object", "", Times(64), "the objects"),
+    bound("health::Health::mend", "", Times(20), "the codes of a block, `CODES_PER_TICK`"),
     bound("sdo::block::Block::take", "", Times(7), "a segment of at most seven bytes"),
     bound("sdo::number_of", "", Times(4), "a number of at most four bytes"),
     // The log.
