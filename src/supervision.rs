@@ -180,11 +180,14 @@ impl Supervision {
     /// Does the next step of an update, if one is due.
     #[cfg(feature = "slots")]
     pub fn update_firmware(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
+        use trueup_node::node::firmware::Step;
+
         let Self { own_slot, watchdog, .. } = self;
         let Some(step) = node.lock(|node| node.take_firmware(&mut own_slot.piece)) else { return };
         // Outside the lock: it does not hold up a tick for longer than the flash does.
         let outcome = own_slot.update(step, watchdog);
-        let slots = own_slot.state();
+        // A write changes no version and no status.
+        let slots = (step != Step::Write).then(|| own_slot.state()).flatten();
         node.lock(|node| {
             slots.into_iter().for_each(|slots| node.note_slots(slots));
             node.end_firmware(step, outcome);

@@ -29,7 +29,7 @@ pub const TIMEOUT_MS: u32 = 5_000;
 /// Bytes of data in a segment.
 const SEGMENT: usize = 7;
 /// Segments of a block: [`Objects::is_ready`] is asked for room for them before each block. No command that starts a transfer
-/// is a number up to this one, so a new master is heard where an old one has left a block unfinished.
+/// is a number up to this one, so a new master is answered where an old one has left a block unfinished.
 pub const BLOCK: u8 = 31;
 
 /// A value as it is read.

@@ -271,7 +271,7 @@ pub fn write(
     })
 }
 
-/// Writes an object in blocks of segments, ten times as fast as [`write()`] on a line that loses nothing, to a bridge that may
+/// Writes an object in blocks of segments, with an answer to a block and not to each segment, to a bridge that may
 /// erase a firmware slot before it answers. A bridge that knows no blocks gets segments. `progress` receives how many bytes
 /// were sent; an error of it ends the transfer.
 ///

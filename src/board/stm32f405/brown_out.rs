@@ -8,6 +8,7 @@
 //! when it has given no offset for a while.
 
 use super::{
+    MILLISECOND,
     watchdog::{Reset, Watchdog},
     within,
 };
@@ -19,8 +20,6 @@ const LEVEL_3: u8 = 0b00;
 const UNLOCK: [u32; 2] = [0x0819_2A3B, 0x4C5D_6E7F];
 /// Milliseconds that an option byte may take at the most: the figure for a sector is 0.8 s.
 const WRITE_MS: u32 = 2_000;
-/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
-const MILLISECOND: u32 = 168_000;
 /// Turns of the supervisor without an offset until the level is raised on a board in service: 2 s. A CNC that
 /// engages just then is held up by the quarter of a second.
 const TURNS: u32 = 200;

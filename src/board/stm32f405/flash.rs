@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
-use super::{mpu, within};
+use super::{MILLISECOND, mpu, within};
 
 /// Where sector 8 begins.
 const START: usize = 0x0808_0000;
@@ -34,9 +34,6 @@ const ERRORS: u32 = 0xF3;
 const WRITE_POLLS: u32 = 16_384;
 /// Milliseconds that an erase may take, twice what the data sheet says.
 const ERASE_MS: u32 = 4_000;
-/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
-const MILLISECOND: u32 = 168_000;
-
 /// Two of the sectors, as one memory.
 pub struct Flash {
     controller: FLASH,

@@ -278,6 +278,9 @@ fn keep_debugger_connected(dbgmcu: &pac::DBGMCU) {
     dbgmcu.cr().modify(|_, w| w.dbg_sleep().set_bit());
 }
 
+/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
+const MILLISECOND: u32 = 168_000;
+
 /// Returns whether `ready` came true within `polls` polls: the only way to wait on this board.
 fn within(polls: u32, mut ready: impl FnMut() -> bool) -> bool {
     (0..polls).any(|_| ready())

@@ -19,6 +19,7 @@ use trueup_boot::{
     refusal::Refusal,
     update::{Update, UpdateError, announce, confirm, slot_at},
 };
+use trueup_canopen::dictionary::FIRMWARE_HEADER;
 use trueup_core::cnc::Quality;
 use trueup_node::node::firmware::{Piece, Slots, Step};
 
@@ -26,6 +27,9 @@ use super::{mpu, slot_flash, watchdog::Watchdog};
 
 /// The key of updates.
 static KEY: &[u8; 32] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
+
+const _: () =
+    assert!(HEADER_SIZE == FIRMWARE_HEADER, "one header, for the boot program and on the wire");
 
 /// Milliseconds of offsets in a row that confirm an image.
 const HEALTHY_MS: u32 = 60_000;
@@ -102,15 +106,31 @@ impl OwnSlot {
         let spare = running.header.slot.other();
         let done = mpu::with_slot(spare, || match step {
             // An erase takes longer than the watchdog waits.
-            Step::Begin => watchdog.loosened(|| self.begin(&running)),
+            Step::Begin => watchdog.loosened(|| {
+                let begun = self.begin(&running);
+                self.make_room();
+                begun
+            }),
             Step::Write => self.write(),
-            Step::Finish => watchdog.loosened(|| self.finish()),
+            Step::Finish => watchdog.loosened(|| {
+                let finished = self.finish();
+                self.make_room();
+                finished
+            }),
         });
         done.map_err(|error| {
             defmt::error!("update refused: {}", defmt::Display2Format(&error));
             self.update = None;
             Refusal::from(error).number()
         })
+    }
+
+    /// Erases a sector of the records now, at rest, where too little room is left for what comes while offsets are followed: a
+    /// confirmation. That one must not erase, for it would stop the core for longer than the watchdog waits.
+    fn make_room(&mut self) {
+        if self.journal.settle().is_err() {
+            defmt::error!("the records of the firmware slots take nothing more");
+        }
     }
 
     fn begin(&mut self, running: &Image) -> Result<(), UpdateError> {

@@ -2,15 +2,15 @@
 
 use trueup_link::status::ResetReason;
 
-use super::last_words::{LastWords, Why};
+use super::{
+    MILLISECOND,
+    last_words::{LastWords, Why},
+};
 use stm32f4xx_hal::{
     pac::{DBGMCU, IWDG, RCC},
     prelude::*,
     watchdog::IndependentWatchdog,
 };
-
-/// Core cycles in a millisecond at the full clock; a slower clock only waits longer.
-const MILLISECOND: u32 = 168_000;
 
 /// Cause of the last reset.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]

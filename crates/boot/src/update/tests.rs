@@ -121,3 +121,32 @@ fn the_slot_is_known_by_where_the_image_runs() {
     assert_eq!(slot_at(Slot::B.start() - 4), Slot::A);
     assert_eq!(slot_at(Slot::B.start()), Slot::B);
 }
+
+#[test]
+fn behind_a_step_that_makes_room_a_confirmation_erases_nothing() {
+    // However full the records are when an image that is not confirmed is given another one.
+    for changes in 0..40_u8 {
+        let mut slots = StrictFlash::<SLOT>::erased();
+        flash_by_probe(&mut slots, Slot::A, &image(Slot::A, 2, 1));
+        let running = read_header(&mut slots, Slot::A, Version::default()).unwrap();
+        let mut journal = Journal::open(StrictFlash::<RECORDS>::erased());
+        for number in 0..changes {
+            let state = journal.state().with(Slot::B, number.into(), Status::Loading);
+            journal.commit(state).unwrap();
+        }
+        // As the boot program does at each start.
+        journal.settle().unwrap();
+        let file = image(Slot::B, 3, 2);
+        let mut update = Update::begin(&mut journal, &mut slots, &running, &header(&file)).unwrap();
+        journal.settle().unwrap();
+        update.append(&mut slots, &file[HEADER_SIZE..]).unwrap();
+        update.finish(&mut journal, &mut slots, &KEY, || ()).unwrap();
+        journal.settle().unwrap();
+        let flash = journal.into_flash();
+        let before = flash.bytes.clone();
+        let mut journal = Journal::open(flash);
+        confirm(&mut journal, &running).unwrap();
+        let after = journal.into_flash().bytes;
+        assert!(before.iter().zip(&after).all(|(old, new)| new & !old == 0), "{changes} changes");
+    }
+}
