@@ -222,7 +222,7 @@ fn send(
 }
 
 /// Restarts a board and waits until it answers again. Returns its slots: it runs from `slot`, or has rejected what is
-/// there, or has gone on with the other one for 5 s.
+/// there, or has answered from the other one for 5 s.
 ///
 /// # Errors
 /// The board does not come back.

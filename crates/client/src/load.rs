@@ -29,8 +29,14 @@ pub(crate) const REMNANT_MARGIN: Duration = Duration::from_millis(500);
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
-/// How long the bridge may take to send its first heartbeat after that.
-const BOOT_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long the bridge may take to answer after that: one whose new firmware hangs goes back to the other by its
+/// watchdogs, after 15 s at worst.
+const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long it may then go on to answer for what ran before.
+const SETTLE_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long its heartbeat, of each 100 ms, may stay away before its channel is opened again: the restart may have come
+/// behind the opening.
+const HEARTBEAT_TIMEOUT: Duration = Duration::from_secs(3);
 
 /// A step of storing a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -185,8 +191,8 @@ pub fn restart(session: &mut Session, wanted: u32) -> Result<u32> {
     restart_until(session, |it| object::number(it, RUNNING_CRC), |running| *running == wanted)
 }
 
-/// Lets the bridge restart, and asks it until the answer is the expected one, or [`BOOT_TIMEOUT`] is over. Returns the
-/// last answer.
+/// Lets the bridge restart, and asks it until the answer is the expected one, or until another one has lasted for
+/// [`SETTLE_TIMEOUT`]. Returns the last answer.
 ///
 /// # Errors
 /// As [`restart`].
@@ -199,11 +205,14 @@ pub(crate) fn restart_until<T>(
     // A CNC that comes back is to be the only master.
     session.end_service();
     let deadline = Instant::now() + BOOT_TIMEOUT;
+    let mut settles = None;
     loop {
-        let answer = wait_for_boot(session, deadline).and_then(|()| ask(session));
+        let answer = wait_for_boot(session).and_then(|()| ask(session));
+        let now = Instant::now();
         match answer {
-            Ok(answer) if is_expected(&answer) || Instant::now() > deadline => return Ok(answer),
-            Err(error) if Instant::now() > deadline => return Err(error),
+            Ok(answer) if is_expected(&answer) => return Ok(answer),
+            Ok(answer) if now > *settles.get_or_insert(now + SETTLE_TIMEOUT) => return Ok(answer),
+            Err(error) if now > deadline => return Err(error),
             _ => {}
         }
     }
@@ -267,13 +276,14 @@ pub(crate) fn link_timeout(session: &mut Session) -> Result<Duration> {
     Ok(Duration::from_millis(ms.into()))
 }
 
-/// Until the bridge is up again: an SLCAN channel has to be opened again.
-fn wait_for_boot(session: &mut Session, deadline: Instant) -> Result<()> {
+/// Waits until the bridge is up, for a few seconds: an SLCAN channel has to be opened again.
+fn wait_for_boot(session: &mut Session) -> Result<()> {
     // A board that stores or supervises takes up to 10 ms to learn of it.
     let restarts = Instant::now() + Duration::from_millis(50);
     while session.next_event(restarts)?.is_some() {}
     session.reopen().context("the bridge does not come back after its restart")?;
-    while let Some(event) = session.next_event(deadline.max(restarts))? {
+    let deadline = Instant::now() + HEARTBEAT_TIMEOUT;
+    while let Some(event) = session.next_event(deadline)? {
         let Event::Frame(frame) = event else { continue };
         if frames::decode_heartbeat(&frame).is_ok_and(|state| state != State::BootUp) {
             return Ok(());
