@@ -89,6 +89,9 @@ impl Place {
             );
         }
         if has_feature("STM32F405") {
+            // Without it up to 7 bytes before the constants are in no segment: erased flash on a board, zeros in an
+            // emulator, and so another image.
+            memory += "SECTIONS { .fill : { LONG(0xFFFFFFFF) . = ALIGN(8); } > FLASH =0xFFFFFFFF } INSERT AFTER .text;\n";
             memory += &fs::read_to_string(GUARD).expect("it is next to the board");
         }
         memory

@@ -17,13 +17,11 @@ use std::{
 mod commit;
 
 /// Names of the carried images; a constant of `carried.rs` names one, too.
-const IMAGES: [&str; 6] = [
+const IMAGES: [&str; 4] = [
     "trueup-virtual.elf",
     "trueup-stm32f405.elf",
     "trueup-stm32f405.bin",
-    "trueup-stm32f405-slots.elf",
-    "trueup-stm32f405-slots.bin",
-    "trueup-stm32f405-slots.update",
+    "trueup-stm32f405.update",
 ];
 /// Sources of the images.
 const SOURCES: [&str; 17] = [

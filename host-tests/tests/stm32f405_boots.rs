@@ -100,11 +100,19 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
     let image = firmware::build(Board::Stm32f405).expect("it builds");
     let bytes = std::fs::read(image.with_extension("bin")).expect("the bytes beside the image");
     let word = |at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().expect("four bytes"));
-    assert_eq!(word(0), 0x2000_0000 + 128 * 1024, "the stack begins at the end of the RAM");
-    assert!((0x0800_0000..0x0810_0000).contains(&word(4)) && word(4) % 2 == 1, "Thumb code");
+    // The boot program, and the application behind the header of slot A.
+    for (begin, room) in [(0, 0x8000), (0x1_0200, 0x3_0000 - 0x200)] {
+        let (stack, entry) = (word(begin), word(begin + 4));
+        assert_eq!(stack, 0x2000_0000 + 128 * 1024, "the stack begins at the end of the RAM");
+        let code = 0x0800_0000 + begin as u32..0x0800_0000 + begin as u32 + room;
+        assert!(code.contains(&entry) && entry % 2 == 1, "Thumb code: {entry:#x}");
+    }
+    // From 32 to 64 KB is nothing.
+    let gap = 0x8000..0x1_0000;
+    assert!(bytes[gap.clone()].iter().all(|byte| *byte == 0xFF), "erased flash");
     let size = trueup_emulator::size::of(&image).expect("it has code");
-    // Between its parts are gaps of a word or two.
-    assert!((size.flash..size.flash + 64).contains(&(bytes.len() as u64)), "{size:?}");
+    let content = (bytes.len() - gap.len()) as u64;
+    assert!(size.flash <= content && content < size.flash + 0x8000, "{size:?}");
 }
 
 #[test]

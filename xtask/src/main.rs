@@ -30,7 +30,7 @@ use trueup_demo::{
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    images, linuxcnc, measure, setup, size, virtual_bridge,
+    images, linuxcnc, measure, setup, size, slots, virtual_bridge,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile};
 
@@ -76,12 +76,12 @@ enum Command {
     Bounds,
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
     Images,
-    /// Builds the image with two firmware slots and the file that updates a board with them, in target/images.
+    /// Builds the image that is flashed, boot program and slot A, and the file that updates a board, in target/images.
     ///
     /// TRUEUP_MACHINE=M.toml links a machine file in, TRUEUP_FIRMWARE_VERSION states another version than the project's.
     /// TRUEUP_KEY names the public key that boards check updates with, TRUEUP_SIGNING_KEY its private half; without them the
     /// key is that of developers, whose private half everybody has.
-    Slots,
+    Firmware,
     /// Counts instructions on the emulated board, and compares its frames with the host's.
     Measure,
     /// Hides each effect in the virtual machine's data, and counts how often it is named right: the
@@ -247,7 +247,7 @@ fn main() -> ExitCode {
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
         Command::Bounds => bounds::print().map(|report| trueup_output::line(report.trim_end())),
         Command::Images => images::carried().map(|folder| trueup_output::line(folder.display())),
-        Command::Slots => images::build_slots().map(|built| {
+        Command::Firmware => images::build_flashable().map(|built| {
             trueup_output::line(built.image.display());
             trueup_output::line(built.update.display());
         }),
@@ -357,7 +357,10 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     // Without a machine file of the user's, one that is named: the example's constants give no offset.
     let image = match std::env::var_os("TRUEUP_MACHINE") {
         Some(_) => firmware::build(Board::Stm32f405)?,
-        None => firmware::build_for(&setup::root().join("data/paper_spindle.toml"))?,
+        None => {
+            let machine = setup::root().join("data/paper_spindle.toml");
+            slots::build_flashable_for(&machine, slots::version()?)?.image
+        }
     };
     let has = |options: &[String], what: &str| options.iter().any(|option| option == what);
     if !has(&options, "--serial") {

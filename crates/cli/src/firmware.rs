@@ -11,7 +11,7 @@ use crate::{Outcome, carried, output};
 /// that runs it.
 ///
 /// They are for any machine: load a calibration with `trueup bridge load`. How to flash: the book, First
-/// power-on. `trueup-stm32f405-slots` is the same firmware with two slots, and its .update is for `trueup bridge update`.
+/// power-on. The .update is for a board that has it already: `trueup bridge update`.
 #[derive(Args)]
 pub struct Firmware {
     /// The folder; it is made if there is none.

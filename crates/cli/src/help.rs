@@ -126,7 +126,7 @@ const EXAMPLES: &[(&str, &str)] = &[
     ("bridge list", "trueup bridge list"),
     ("bridge info", "trueup bridge info --port /dev/ttyUSB0"),
     ("bridge load", "trueup bridge load mill.bin --port /dev/ttyUSB0"),
-    ("bridge update", "trueup bridge update trueup-stm32f405-slots.update --port /dev/ttyUSB0"),
+    ("bridge update", "trueup bridge update trueup-stm32f405.update --port /dev/ttyUSB0"),
     ("bridge monitor", "trueup bridge monitor --port /dev/ttyUSB0"),
     ("bridge save", "trueup bridge save board.json --port /dev/ttyUSB0"),
     ("bridge pending", "trueup bridge pending --port /dev/ttyUSB0"),

@@ -13,6 +13,7 @@ use rustix::fs::{FlockOperation, flock};
 use crate::{
     binary, process, seal,
     setup::{self, TARGET, Toolchain},
+    slots,
 };
 
 /// The two boards, by the names of their features.
@@ -24,6 +25,8 @@ pub enum Board {
     Virtual,
 }
 
+/// The firmware's program.
+pub(crate) const PROGRAM: &str = "trueup-firmware";
 /// Names the machine file that is linked into an image.
 const MACHINE_VARIABLE: &str = "TRUEUP_MACHINE";
 
@@ -114,23 +117,26 @@ pub(crate) fn cargo_for(verb: &str, feature: &str) -> Result<(Command, PathBuf)>
     Ok((command, folder))
 }
 
-/// Builds the image of a board and gives its path; for the one that is flashed, its plain bytes
+/// Builds the image of a board and gives its path; for the one that is flashed, boot program and slot A, its plain bytes
 /// stand next to it (`.bin`).
 ///
 /// # Errors
 /// It does not compile, or there is no way to the target.
 pub fn build(board: Board) -> Result<PathBuf> {
-    build_as(board, board.feature(), board.feature(), Linked::Named)
+    match board {
+        Board::Stm32f405 => slots::build_whole(Linked::Named, board.feature(), slots::version()?),
+        Board::Virtual => build_virtual(board.feature(), Linked::Named),
+    }
 }
 
-/// Builds the image that is flashed, for a machine: without one it has the example's constants, and gives
-/// no offset.
+/// Builds the application alone, at the start of the flash and without slots, for a machine: what the tests run that ask
+/// nothing of the boot program. Without a machine it has the example's constants, and gives no offset.
 ///
 /// # Errors
 /// As [`build`]; the machine file cannot be used.
 pub fn build_for(machine: &Path) -> Result<PathBuf> {
     let name = format!("stm32f405-for-{}", mark(machine)?);
-    build_as(Board::Stm32f405, "stm32f405", &name, Linked::File(machine))
+    build_application("stm32f405", &name, Linked::File(machine))
 }
 
 /// Builds the same with the feature `faults`: it breaks on command, and is never for a machine.
@@ -139,7 +145,7 @@ pub fn build_for(machine: &Path) -> Result<PathBuf> {
 /// As [`build_for`].
 pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
     let name = format!("stm32f405-faults-for-{}", mark(machine)?);
-    build_as(Board::Stm32f405, "faults", &name, Linked::File(machine))
+    build_application("faults", &name, Linked::File(machine))
 }
 
 /// Part of the name of an image for this machine file: two programs that build for two machines at once do not
@@ -162,33 +168,43 @@ impl Linked<'_> {
     }
 }
 
-pub(crate) fn build_as(
-    board: Board,
-    feature: &str,
-    name: &str,
-    machine: Linked,
-) -> Result<PathBuf> {
+/// Builds the virtual board's image.
+pub(crate) fn build_virtual(name: &str, machine: Linked) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_for("build", Board::Virtual.feature())?;
+    machine.tell(&mut command);
+    build_with(command, &folder, PROGRAM, name, |_| Ok(()))
+}
+
+fn build_application(feature: &str, name: &str, machine: Linked) -> Result<PathBuf> {
     let (mut command, folder) = cargo_for("build", feature)?;
     machine.tell(&mut command);
+    let image = build_with(command, &folder, PROGRAM, name, seal::seal)?;
+    fs::write(image.with_extension("bin"), binary::of(&image)?)?;
+    Ok(image)
+}
+
+/// Runs a build, and gives a copy of the program a name of its own: an image is also the key to its log. `finish` receives
+/// the copy before anybody else sees it.
+pub(crate) fn build_with(
+    mut command: Command,
+    folder: &Path,
+    program: &str,
+    name: &str,
+    finish: impl FnOnce(&Path) -> Result<()>,
+) -> Result<PathBuf> {
     let images = folder.join("images");
     fs::create_dir_all(&images)?;
-    // Cargo gives both boards the same file name, so nobody else may build until the copy is made;
-    // the lock ends with the file.
+    // Cargo gives all images of a program the same file name, so nobody else may build until the copy is made; the lock
+    // ends with the file.
     let lock = File::create(images.join("lock"))?;
     flock(&lock, FlockOperation::LockExclusive)?;
     process::run(&mut command)?;
-    let built = folder.join(TARGET).join("firmware/trueup-firmware");
-    // An image is also the key to its log, so it is worth a name of its own. It is put in place in
-    // one step, because another command may be reading the old one just now.
+    let built = folder.join(TARGET).join("firmware").join(program);
+    // It is put in place in one step, because another command may be reading the old one just now.
     let copy = tempfile::NamedTempFile::new_in(&images)?;
     fs::copy(&built, &copy).with_context(|| format!("{} is missing", built.display()))?;
     let image = images.join(format!("trueup-{name}.elf"));
-    if board == Board::Stm32f405 {
-        seal::seal(copy.path())?;
-    }
+    finish(copy.path())?;
     copy.persist(&image)?;
-    if board == Board::Stm32f405 {
-        fs::write(image.with_extension("bin"), binary::of(&image)?)?;
-    }
     Ok(image)
 }

@@ -1,11 +1,11 @@
-//! The images that are handed out: those that an installed tool carries, and those of two firmware slots.
+//! The images that are handed out: those that an installed tool carries, and those of a machine and a key of one's own.
 
 use std::{fs, path::PathBuf};
 
 use anyhow::{Context as _, Result};
 
 use crate::{
-    firmware::{Board, Linked, build_as},
+    firmware::{self, Board, Linked},
     setup,
     slots::{self, Flashable},
 };
@@ -13,19 +13,16 @@ use crate::{
 /// Returns the images that an installed tool carries, without a machine of anybody's: their folder.
 ///
 /// # Errors
-/// As [`firmware::build`](crate::firmware::build) and [`build_slots`].
+/// As [`firmware::build`] and [`build_flashable`].
 pub fn carried() -> Result<PathBuf> {
     let folder = setup::root().join("target/carried");
     fs::create_dir_all(&folder)?;
-    let mut images = Vec::new();
-    for board in Board::ALL {
-        let name = format!("carried-{}", board.feature());
-        images.push((build_as(board, board.feature(), &name, Linked::Example)?, board.feature()));
-    }
-    let slots = slots::build_flashable(Linked::Example, "carried-slots", slots::version()?)?;
-    images.push((slots.image, SLOTS));
-    // Those of the chip have their plain bytes next to them, and that of two slots its update.
-    for (image, name) in images {
+    let [chip, simulated] = Board::ALL.map(Board::feature);
+    let flashable =
+        slots::build_flashable(Linked::Example, &format!("carried-{chip}"), slots::version()?)?;
+    let simulator = firmware::build_virtual(&format!("carried-{simulated}"), Linked::Example)?;
+    // The one of the chip has its plain bytes and its update next to it.
+    for (image, name) in [(flashable.image, chip), (simulator, simulated)] {
         for kind in ["elf", "bin", "update"] {
             let built = image.with_extension(kind);
             if built.is_file() {
@@ -37,13 +34,10 @@ pub fn carried() -> Result<PathBuf> {
     Ok(folder)
 }
 
-/// Name of the image with two firmware slots.
-const SLOTS: &str = "stm32f405-slots";
-
-/// Builds the image with two firmware slots, and the update of boards that have them.
+/// Builds the image that is flashed, and the update of boards that have it.
 ///
 /// # Errors
 /// As [`slots::build_flashable_for`].
-pub fn build_slots() -> Result<Flashable> {
-    slots::build_flashable(Linked::Named, SLOTS, slots::version()?)
+pub fn build_flashable() -> Result<Flashable> {
+    slots::build_flashable(Linked::Named, Board::Stm32f405.feature(), slots::version()?)
 }

@@ -1,14 +1,12 @@
 //! Images for the two slots of the flash, the boot program that chooses between them, and the files of updates.
 
 use std::{
-    env,
-    fs::{self, File},
+    env, fs,
     path::{Path, PathBuf},
     process::Command,
 };
 
 use anyhow::{Context as _, Result, ensure};
-use rustix::fs::{FlockOperation, flock};
 use trueup_boot::{
     header::{HEADER_SIZE, Header, Version},
     layout::{BOOT_SIZE, SLOT_SIZE, Slot},
@@ -18,8 +16,7 @@ use trueup_signature::{PrivateKey, PublicKey};
 use crate::{
     binary,
     firmware::{self, Linked},
-    process, seal,
-    setup::{self, TARGET},
+    seal, setup,
 };
 
 /// Names the bytes of the boot program that an image is to have in front.
@@ -68,7 +65,7 @@ pub fn cargo(verb: &str) -> Result<[Command; 2]> {
 /// As [`build_boot`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
     let name = format!("stm32f405-{}-for-{}", slot.name(), firmware::mark(machine)?);
-    build_for_slot(slot, Linked::File(machine), None, &name)
+    build_for_slot(slot, Linked::File(machine), None, &name, |_| Ok(()))
 }
 
 fn build_for_slot(
@@ -76,19 +73,21 @@ fn build_for_slot(
     machine: Linked<'_>,
     boot: Option<&Path>,
     name: &str,
+    finish: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("slots", "trueup-firmware", Some(slot))?;
+    let (mut command, folder) = cargo_for("slots", firmware::PROGRAM, Some(slot))?;
     machine.tell(&mut command);
     match boot {
         Some(boot) => command.env(BOOT_VARIABLE, boot),
         None => command.env_remove(BOOT_VARIABLE),
     };
-    let image = build_with(command, &folder, "trueup-firmware", name)?;
-    seal::seal(&image)?;
-    Ok(image)
+    firmware::build_with(command, &folder, firmware::PROGRAM, name, |image| {
+        seal::seal(image)?;
+        finish(image)
+    })
 }
 
-/// Files for a board with two firmware slots.
+/// Files for a board.
 #[derive(Debug)]
 pub struct Flashable {
     /// Boot program and slot A, one whole image; its plain bytes stand next to it (`.bin`).
@@ -97,21 +96,17 @@ pub struct Flashable {
     pub update: PathBuf,
 }
 
-/// Builds them for a machine, with the version of this project, or the one that `TRUEUP_FIRMWARE_VERSION` states.
+/// Builds them for a machine, with this version.
 ///
 /// # Errors
 /// As [`build_boot`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
 pub fn build_flashable_for(machine: &Path, version: Version) -> Result<Flashable> {
-    let name = format!("stm32f405-slots-{version}-for-{}", firmware::mark(machine)?);
+    let name = format!("stm32f405-{version}-for-{}", firmware::mark(machine)?);
     build_flashable(Linked::File(machine), &name, version)
 }
 
-pub(crate) fn build_flashable(
-    machine: Linked<'_>,
-    name: &str,
-    version: Version,
-) -> Result<Flashable> {
-    let key = signing_key()?;
+/// Builds the whole image alone.
+pub(crate) fn build_whole(machine: Linked<'_>, name: &str, version: Version) -> Result<PathBuf> {
     let boot = build_boot()?;
     let boot_bytes = boot.with_extension("bin");
     let bytes = binary::of(&boot)?;
@@ -119,21 +114,37 @@ pub(crate) fn build_flashable(
     if fs::read(&boot_bytes).ok().as_ref() != Some(&bytes) {
         fs::write(&boot_bytes, bytes)?;
     }
-    let mut update = Vec::new();
-    let [image, _] = Slot::BOTH.map(|slot| {
-        let boot = (slot == Slot::A).then_some(boot_bytes.as_path());
-        let name = if slot == Slot::A { name.to_owned() } else { format!("{name}-B") };
-        let image = build_for_slot(slot, machine, boot, &name)?;
-        let file = sign(&body(&image, slot)?, slot, version, Version::default(), &key);
-        seal::write_at(&image, HEADER_SYMBOL, &file[..HEADER_SIZE])?;
-        update.extend(file);
-        anyhow::Ok(image)
-    });
-    let image = image?;
+    let image = build_signed(Slot::A, machine, Some(&boot_bytes), name, version)?;
     fs::write(image.with_extension("bin"), binary::of(&image)?)?;
-    let file = image.with_extension("update");
-    fs::write(&file, update)?;
-    Ok(Flashable { image, update: file })
+    Ok(image)
+}
+
+pub(crate) fn build_flashable(
+    machine: Linked<'_>,
+    name: &str,
+    version: Version,
+) -> Result<Flashable> {
+    let image = build_whole(machine, name, version)?;
+    let second = build_signed(Slot::B, machine, None, &format!("{name}-B"), version)?;
+    let update = [file(&image, Slot::A)?, file(&second, Slot::B)?].concat();
+    let path = image.with_extension("update");
+    fs::write(&path, update)?;
+    Ok(Flashable { image, update: path })
+}
+
+/// Builds the application for a slot, with its header and signature.
+fn build_signed(
+    slot: Slot,
+    machine: Linked<'_>,
+    boot: Option<&Path>,
+    name: &str,
+    version: Version,
+) -> Result<PathBuf> {
+    let key = signing_key()?;
+    build_for_slot(slot, machine, boot, name, |image| {
+        let file = sign(&body(image, slot)?, slot, version, Version::default(), &key);
+        seal::write_at(image, HEADER_SYMBOL, &file[..HEADER_SIZE])
+    })
 }
 
 /// Returns the version of this project's firmware.
@@ -171,7 +182,7 @@ fn signing_key() -> Result<PrivateKey> {
 
 fn build(feature: &str, program: &str, name: &str, slot: Option<Slot>) -> Result<PathBuf> {
     let (command, folder) = cargo_for(feature, program, slot)?;
-    build_with(command, &folder, program, name)
+    firmware::build_with(command, &folder, program, name, |_| Ok(()))
 }
 
 fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Command, PathBuf)> {
@@ -184,26 +195,16 @@ fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Comman
     Ok((command, folder))
 }
 
-fn build_with(mut command: Command, folder: &Path, program: &str, name: &str) -> Result<PathBuf> {
-    let images = folder.join("images");
-    fs::create_dir_all(&images)?;
-    // Both slots' images have the same file name, so nobody else may build until the copy is made.
-    let lock = File::create(images.join("lock"))?;
-    flock(&lock, FlockOperation::LockExclusive)?;
-    process::run(&mut command)?;
-    let image = images.join(format!("trueup-{name}.elf"));
-    let copy = tempfile::NamedTempFile::new_in(&images)?;
-    let built = folder.join(TARGET).join("firmware").join(program);
-    fs::copy(&built, &copy).with_context(|| built.display().to_string())?;
-    copy.persist(&image)?;
-    Ok(image)
-}
-
 /// Returns the bytes of an image behind its header, filled up to whole words as erased flash is.
 ///
 /// # Errors
 /// The image cannot be read, or has bytes outside of its slot.
 pub fn body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
+    Ok(file(image, slot)?.split_off(HEADER_SIZE))
+}
+
+/// Returns the same with the header that the image has.
+fn file(image: &Path, slot: Slot) -> Result<Vec<u8>> {
     let mut flash = binary::of(image)?;
     let start = usize::try_from(slot.start() - binary::FLASH_START)?;
     let (first, end) = (start + HEADER_SIZE, start + SLOT_SIZE as usize);
@@ -214,7 +215,7 @@ pub fn body(image: &Path, slot: Slot) -> Result<Vec<u8>> {
     let below = if slot == Slot::A { BOOT_SIZE as usize..start } else { 0..start };
     ensure!(flash[below].iter().all(|byte| *byte == 0xFF), "{name} has bytes below its slot");
     flash.resize(flash.len().next_multiple_of(4), 0xFF);
-    Ok(flash.split_off(first))
+    Ok(flash.split_off(start))
 }
 
 /// Returns the body of the small image of the tests with its behaviour and the name that it says.

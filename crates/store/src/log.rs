@@ -121,10 +121,11 @@ impl<F: NorFlash> Log<F> {
     ) -> Self {
         let empty = Content::default();
         let mut log = Self { flash, slot_size, first: empty, second: empty, active: Half::First };
+        let mut part = [0; PART_SIZE];
         for half in [Half::First, Half::Second] {
             for number in 0..log.slots_per_half() {
                 let slot = log.slot(half, number);
-                if log.is_blank(slot) {
+                if log.is_blank(slot, &mut part) {
                     continue;
                 }
                 log.note_used(slot);
@@ -195,7 +196,8 @@ impl<F: NorFlash> Log<F> {
         let slots = self.slots_per_half();
         let start = self.slot(spare, 0).address;
         let erased = self.flash.erase(start, start.saturating_add(self.half_size())).is_ok();
-        if !erased || (0..slots).any(|number| !self.is_blank(self.slot(spare, number))) {
+        let mut part = [0; PART_SIZE];
+        if !erased || (0..slots).any(|number| !self.is_blank(self.slot(spare, number), &mut part)) {
             return Err(StoreError::NotErased);
         }
         *self.content(spare) = Content::default();
@@ -270,15 +272,18 @@ impl<F: NorFlash> Log<F> {
         Slot { half, number, address }
     }
 
+    /// Returns whether a slot is as erased flash is. `part` is room to read into: to clear it for each slot would take as
+    /// long as to read the slot, and a start looks at all of them.
     #[inline(never)]
-    fn is_blank(&mut self, slot: Slot) -> bool {
-        let mut part = [0; PART_SIZE];
+    fn is_blank(&mut self, slot: Slot, part: &mut [u8; PART_SIZE]) -> bool {
         let mut at = 0;
         while at < self.slot_size {
             let length = self.slot_size.saturating_sub(at).min(PART);
             let Some(bytes) = part.get_mut(..length as usize) else { return false };
             let is_read = self.flash.read(slot.address.saturating_add(at), bytes).is_ok();
-            if !is_read || bytes.iter().any(|byte| *byte != 0xFF) {
+            let (words, rest) = bytes.as_chunks();
+            let is_erased = words.iter().all(|word| u32::from_ne_bytes(*word) == u32::MAX);
+            if !is_read || !is_erased || rest.iter().any(|byte| *byte != 0xFF) {
                 return false;
             }
             at = at.saturating_add(length);
