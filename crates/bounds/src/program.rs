@@ -57,7 +57,7 @@ pub struct Prepared {
     pub starts: Vec<State>,
     /// Its loops.
     pub loops: Vec<Bounded>,
-    /// What each block calls at its end.
+    /// Functions that each block calls at its end.
     pub calls: Vec<Vec<Entry>>,
 }
 
@@ -74,7 +74,7 @@ pub struct Program<'a> {
     read: RefCell<BTreeMap<u32, Rc<Result<Graph, String>>>>,
     returning: RefCell<BTreeMap<u32, bool>>,
     prepared: RefCell<BTreeMap<Entry, Option<Rc<Prepared>>>>,
-    /// What is missing, each with its place.
+    /// Missing bounds, each with its place.
     problems: RefCell<BTreeSet<String>>,
 }
 
@@ -397,7 +397,7 @@ impl<'a> Program<'a> {
         Rounds::Times(1)
     }
 
-    /// What a block calls at its end.
+    /// Functions that a block calls at its end.
     fn calls(&self, graph: &Graph, starts: &[State], number: usize) -> Vec<Entry> {
         let block = &graph.blocks[number];
         let Some(call) = &block.call else { return Vec::new() };

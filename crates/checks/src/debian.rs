@@ -64,7 +64,7 @@ trueup predict -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o out.
 trueup diagnose -m try/paper_spindle.toml -r try/spindle_paper_table1.csv -o found
 trueup compile found/extended.toml -o cal.bin
 trueup show cal.bin > shown.toml
-test $(trueup firmware images | wc -l) = 6
+test $(trueup firmware images | wc -l) = IMAGES
 test -f /usr/share/man/man1/trueup.1.gz
 test -f /usr/share/bash-completion/completions/trueup
 apt-get remove -y trueup
@@ -89,7 +89,8 @@ pub fn try_out(package: &Path) -> Result<()> {
     fs::copy(package, folder.join("trueup.deb"))?;
     let mut trial = Command::new("chroot");
     trial.arg(&folder).args(["/usr/bin/env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin"]);
-    trial.args(["HOME=/root", "DEBIAN_FRONTEND=noninteractive", "/bin/sh", "-c", TRIAL]);
+    let commands = TRIAL.replace("IMAGES", &carried()?.to_string());
+    trial.args(["HOME=/root", "DEBIAN_FRONTEND=noninteractive", "/bin/sh", "-c", &commands]);
     process::run(&mut trial)?;
     Ok(fs::remove_dir_all(&folder)?)
 }
@@ -106,6 +107,11 @@ fn describe(tool: &Path, folder: &Path) -> Result<()> {
         fs::write(folder.join(file), script)?;
     }
     let images = process::output(Command::new(tool).arg("firmware").arg(folder.join("firmware")))?;
-    ensure!(images.lines().count() == 3, "{} carries: {images}", tool.display());
+    ensure!(images.lines().count() == carried()?, "{} carries: {images}", tool.display());
     Ok(())
+}
+
+/// Returns how many files of images there are to carry.
+fn carried() -> Result<usize> {
+    Ok(fs::read_dir(setup::root().join("target/carried"))?.flatten().count())
 }

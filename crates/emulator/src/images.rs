@@ -5,7 +5,8 @@ use std::{fs, path::PathBuf};
 use anyhow::{Context as _, Result};
 
 use crate::{
-    firmware::{self, Board, Linked},
+    compile::Linked,
+    firmware::{self, Board},
     setup,
     slots::{self, Flashable},
 };
@@ -21,6 +22,7 @@ pub fn carried() -> Result<PathBuf> {
     let flashable =
         slots::build_flashable(Linked::Example, &format!("carried-{chip}"), slots::version()?)?;
     let simulator = firmware::build_virtual(&format!("carried-{simulated}"), Linked::Example)?;
+    let mut copies = Vec::new();
     // The one of the chip has its plain bytes and its update next to it.
     for (image, name) in [(flashable.image, chip), (simulator, simulated)] {
         for kind in ["elf", "bin", "update"] {
@@ -28,8 +30,13 @@ pub fn carried() -> Result<PathBuf> {
             if built.is_file() {
                 let copy = folder.join(format!("trueup-{name}.{kind}"));
                 fs::rename(&built, &copy).with_context(|| copy.display().to_string())?;
+                copies.push(copy);
             }
         }
+    }
+    // Images of an older version.
+    for other in fs::read_dir(&folder)?.flatten().filter(|it| !copies.contains(&it.path())) {
+        fs::remove_file(other.path())?;
     }
     Ok(folder)
 }

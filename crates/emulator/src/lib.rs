@@ -16,6 +16,7 @@ pub mod call_graph;
 pub mod chip;
 pub mod chip_live;
 pub mod cnc;
+mod compile;
 pub mod firmware;
 mod frames;
 pub mod front_end;

@@ -15,7 +15,7 @@ use trueup_signature::{PrivateKey, PublicKey};
 
 use crate::{
     binary,
-    firmware::{self, Linked},
+    compile::{self, Linked, PROGRAM, build_with, mark},
     seal, setup,
 };
 
@@ -50,11 +50,11 @@ pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
 /// `cargo <verb>`.
 ///
 /// # Errors
-/// As [`firmware::cargo`].
+/// There is no way to the target; see [`setup::toolchain`].
 pub fn cargo(verb: &str) -> Result<[Command; 2]> {
-    let (mut boot, _) = firmware::cargo_for(verb, "slot-test")?;
+    let (mut boot, _) = compile::cargo_for(verb, "slot-test")?;
     boot.args(["--bin", "trueup-boot-program", "--bin", "trueup-slot-test"]);
-    let (mut application, _) = firmware::cargo_for(verb, "slots")?;
+    let (mut application, _) = compile::cargo_for(verb, "slots")?;
     application.args(["--bin", "trueup-firmware"]);
     Ok([boot, application])
 }
@@ -64,7 +64,7 @@ pub fn cargo(verb: &str) -> Result<[Command; 2]> {
 /// # Errors
 /// As [`build_boot`]; the machine file cannot be used.
 pub fn build_application(slot: Slot, machine: &Path) -> Result<PathBuf> {
-    let name = format!("stm32f405-{}-for-{}", slot.name(), firmware::mark(machine)?);
+    let name = format!("stm32f405-{}-for-{}", slot.name(), mark(machine)?);
     build_for_slot(slot, Linked::File(machine), None, &name, |_| Ok(()))
 }
 
@@ -75,13 +75,13 @@ fn build_for_slot(
     name: &str,
     finish: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<PathBuf> {
-    let (mut command, folder) = cargo_for("slots", firmware::PROGRAM, Some(slot))?;
+    let (mut command, folder) = cargo_for("slots", PROGRAM, Some(slot))?;
     machine.tell(&mut command);
     match boot {
         Some(boot) => command.env(BOOT_VARIABLE, boot),
         None => command.env_remove(BOOT_VARIABLE),
     };
-    firmware::build_with(command, &folder, firmware::PROGRAM, name, |image| {
+    build_with(command, &folder, PROGRAM, name, |image| {
         seal::seal(image)?;
         finish(image)
     })
@@ -101,7 +101,7 @@ pub struct Flashable {
 /// # Errors
 /// As [`build_boot`]; the machine file cannot be used, or the key of the boot program is not that of the signature.
 pub fn build_flashable_for(machine: &Path, version: Version) -> Result<Flashable> {
-    let name = format!("stm32f405-{version}-for-{}", firmware::mark(machine)?);
+    let name = format!("stm32f405-{version}-for-{}", mark(machine)?);
     build_flashable(Linked::File(machine), &name, version)
 }
 
@@ -182,11 +182,11 @@ fn signing_key() -> Result<PrivateKey> {
 
 fn build(feature: &str, program: &str, name: &str, slot: Option<Slot>) -> Result<PathBuf> {
     let (command, folder) = cargo_for(feature, program, slot)?;
-    firmware::build_with(command, &folder, program, name, |_| Ok(()))
+    build_with(command, &folder, program, name, |_| Ok(()))
 }
 
 fn cargo_for(feature: &str, program: &str, slot: Option<Slot>) -> Result<(Command, PathBuf)> {
-    let (mut command, folder) = firmware::cargo_for("build", feature)?;
+    let (mut command, folder) = compile::cargo_for("build", feature)?;
     command.args(["--bin", program]);
     match slot {
         Some(slot) => command.env("TRUEUP_SLOT", slot.name()),

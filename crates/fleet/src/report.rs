@@ -28,7 +28,7 @@ pub struct Series {
     pub drifts: Vec<Drifting>,
     /// Which machine to measure next, the best first.
     pub next: Vec<Next>,
-    /// What the reader must know of the results, a sentence each.
+    /// Notes to the results, a sentence each.
     pub notes: Vec<String>,
 }
 
@@ -83,7 +83,7 @@ pub struct Member {
     pub shrunk: Interval,
     /// The weight of the mean in it, 0…1.
     pub weight: f64,
-    /// What the others predict for it, and how far it is from that in predictive standard deviations.
+    /// The others' prediction for it, and its distance from that in predictive standard deviations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub compared: Option<Compared>,
 }
@@ -91,7 +91,7 @@ pub struct Member {
 /// A machine compared with the others.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Compared {
-    /// What the others predict.
+    /// The others' prediction.
     pub predicted: f64,
     /// The deviation in predictive standard deviations.
     pub t: f64,

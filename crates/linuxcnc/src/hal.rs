@@ -36,7 +36,7 @@ pub trait PinType: sealed::Sealed + Copy {
     /// Its number in `hal_type_t`.
     #[doc(hidden)]
     const KIND: c_int;
-    /// What lies in the memory.
+    /// Content of the shared memory.
     #[doc(hidden)]
     type Raw: Copy;
     #[doc(hidden)]
@@ -118,7 +118,7 @@ struct Adopted {
     cell: Box<UnsafeCell<*mut c_void>>,
 }
 
-/// What the HAL knows of a pin.
+/// A pin, as the HAL has it.
 struct Found {
     kind: c_int,
     data: *mut c_void,
@@ -312,7 +312,7 @@ pub fn is_alive(pid: u32) -> bool {
     !state.starts_with(['Z', 'X'])
 }
 
-/// What the HAL does not do.
+/// Why the HAL cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum HalError {
     /// LinuxCNC's library cannot be opened.

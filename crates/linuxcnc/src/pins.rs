@@ -55,7 +55,7 @@ const MAX_LIMIT: f64 = 1e6;
 const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
 const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
 const TO_JOINT: [&str; 5] = ["offset", "min", "max", "vel", "accel"];
-/// What a joint says is not known before all of these are connected.
+/// The state of a joint is not known before all of these are connected.
 const OF_JOINT: [&str; 4] = ["now", "cmd", "reference", "homing"];
 
 /// The pins of an axis.
@@ -78,7 +78,7 @@ struct JointPins<'hal> {
     reference: Pin<'hal, f64>,
     homing: Pin<'hal, bool>,
     wires: Vec<Wire>,
-    /// What a component before this one has left.
+    /// Values that an earlier component has left.
     left: Option<JointGoal>,
 }
 

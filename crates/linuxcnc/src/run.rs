@@ -45,12 +45,12 @@ pub struct Settings {
     pub options: Options,
 }
 
-/// What was learned since the bridge's calibration was made.
+/// Corrections learned since the bridge's calibration was made.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Learned {
     /// Each part in the bridge's units; `None`: as before.
     pub amounts: Option<[i16; PARTS]>,
-    /// What to tell of it.
+    /// Lines about it for the operator.
     pub said: Vec<String>,
 }
 
@@ -107,7 +107,7 @@ pub fn run(
         inputs.zero &= news.pinned.lets_engage();
         let (mut outputs, frames) = component.step(now, &inputs);
         outputs.other_calibration = news.pinned.refuses();
-        // What watches the heartbeat holds the feed, as if the component were gone.
+        // The watchdog of the heartbeat holds the feed, as if the component were gone.
         outputs.heartbeat &= cut.is_none();
         pins.write(&outputs);
         let recorded = record.as_mut().map(|it| it.step(SystemTime::now(), &inputs, &outputs));
@@ -125,9 +125,9 @@ pub fn run(
     Ok(())
 }
 
-/// What the bridge is told of what was learned.
+/// The learned corrections, as they are sent to the bridge.
 struct Lessons<F> {
-    /// What has changed of it; `None`: nothing is learned here.
+    /// The change since the last one sent; `None`: nothing is learned here.
     news: Option<F>,
     /// CRC of the calibration that it is a change of.
     of: Option<u32>,
@@ -147,7 +147,7 @@ impl<F: Fn() -> Option<Learned>> Lessons<F> {
     }
 }
 
-/// What was reported last.
+/// The last report.
 #[derive(Debug)]
 struct News {
     down: Option<String>,
@@ -185,7 +185,7 @@ impl News {
         }
     }
 
-    /// What the bridge says of itself, when it changes.
+    /// The bridge's version and state, when they change.
     fn of_bridge(&mut self, outputs: &Outputs, tell: &mut impl FnMut(&str)) {
         if let Some(told) = self.pinned.runs_on(outputs.calibration) {
             tell(&told);

@@ -1,6 +1,12 @@
-//! The application is given a new image frame by frame over CAN, and refuses it; `chip_clients update` has the one that it takes.
+//! The application is given a new image frame by frame over CAN: a stranger's, which it refuses, and its maker's.
+//! `chip_clients update` has the serial line.
 
 use trueup_boot::{header::HEADER_SIZE, layout::Slot, refusal::Refusal};
+use trueup_canopen::sdo::{
+    BLOCK,
+    client::{BlockDownload, Progress},
+};
+use trueup_link::frame::Frame;
 
 use crate::{
     application::application,
@@ -12,6 +18,7 @@ const HEADER: (u16, u8) = (0x2120, 1);
 const IMAGE: (u16, u8) = (0x2120, 2);
 const RECEIVED: (u16, u8) = (0x2120, 3);
 const REFUSED: (u16, u8) = (0x2120, 5);
+const RUNNING: (u16, u8) = (0x2121, 1);
 /// The board is up, and has heard `Service`.
 const BEGIN_MS: f64 = 500.0;
 /// An erase of two sectors of 128 KB: the model takes the data sheet's longest times.
@@ -23,6 +30,38 @@ fn update(file: &[u8]) -> (String, f64) {
     let (header, sent) = download(HEADER, header, BEGIN_MS);
     let (image, end) = download(IMAGE, image, sent + ERASE_MS);
     (format!("0 flags 10\n{header}{image}"), end)
+}
+
+/// From one segment of a block to the next: a frame of 8 bytes takes up to 0.135 ms, and the bus has other ones.
+const SEGMENT_MS: f64 = 0.25;
+/// A block that was sent is answered by then: its bytes are in the flash.
+const BLOCK_MS: f64 = 6.0;
+
+/// Returns the frames of a block download of the image, and when the last one is sent.
+fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
+    let (mut script, mut at) = (String::new(), from_ms);
+    let mut send = |frame: &Frame, at: f64| {
+        let hex: String = frame.data().iter().map(|byte| format!("{byte:02x}")).collect();
+        script += &format!("{at:.2} frame 601 {hex}\n");
+    };
+    let (mut transfer, start) = BlockDownload::start(IMAGE, image);
+    send(&start, at);
+    let [low, high] = IMAGE.0.to_le_bytes();
+    // Each as the board gives it if it has taken all.
+    let mut answer = [0xA4, low, high, IMAGE.1, BLOCK, 0, 0, 0];
+    loop {
+        at += BLOCK_MS;
+        let heard = transfer.hear(&Frame::full(0x581, answer)).expect("an answer of this transfer");
+        let Progress::Ask(first) = heard else { return (script, at) };
+        let (mut count, mut next) = (0, Some(first));
+        while let Some(frame) = next {
+            send(&frame, at);
+            (at, count, next) = (at + SEGMENT_MS, count + 1, transfer.more());
+        }
+        let is_end = first.data()[0] >= 0xC0;
+        answer =
+            if is_end { [0xA1, 0, 0, 0, 0, 0, 0, 0] } else { [0xA2, count, BLOCK, 0, 0, 0, 0, 0] };
+    }
 }
 
 /// Returns the last answer about an object.
@@ -53,4 +92,30 @@ fn the_application_refuses_an_image_of_a_stranger_and_goes_on() {
     assert_eq!(told, [Some(refusal), Some(0)], "{}", report.said);
     let offsets = report.events.iter().filter(|event| event.contains(" can 281 ")).count();
     assert!(offsets > 1_000, "it sends on, after the reset as well: {offsets}");
+}
+
+#[test]
+#[ignore = "long: the application on the model of the chip"]
+fn the_application_takes_an_image_over_can_in_time() {
+    let Some(_) = boot() else { return };
+    let board = Board::with(&application(Slot::A, 1), &[]).expect("it is there");
+    let file = application(Slot::B, 2);
+    let (header, image) = file.split_at(HEADER_SIZE);
+    let (header, sent) = download(HEADER, header, BEGIN_MS);
+    let (image, end) = download_in_blocks(image, sent + ERASE_MS);
+    // The signature is verified before the last answer; then NMT: restart.
+    let restart = end + 1_000.0;
+    let asked = questions(&[RECEIVED], restart - 20.0) + &questions(&[RUNNING], restart + 800.0);
+    let script = format!("0 flags 10\n{header}{image}{asked}{restart} frame 000 8101\n");
+    let report = board.report((restart + 900.0) as u32, &script, &["--slow-flash"]);
+    let aborted = report.events.iter().find(|event| event.contains(" can 581 80"));
+    assert_eq!(aborted, None, "{}", report.said);
+    let received = answer(&report.events, RECEIVED);
+    assert_eq!(received, Some(file.len() as u32), "{}", report.said);
+    assert_eq!(answer(&report.events, RUNNING), Some(Slot::B.number().into()), "{}", report.said);
+    let last = report.events.iter().rev().find(|event| event.contains(" can 581 a1"));
+    let last = last.and_then(|event| event.split(' ').next()?.parse::<f64>().ok());
+    let took = (last.expect("the end is answered") - BEGIN_MS) / 1e3;
+    println!("{} bytes over CAN, flash at its slowest: verified after {took:.1} s", file.len());
+    assert!(took <= 20.0, "{took}");
 }

@@ -77,7 +77,7 @@ pub struct Cycle {
     pub head_deg: [f64; 2],
     /// The external offset that LinuxCNC applies, in mm.
     pub eoffset_mm: [f64; 3],
-    /// What the program says that it does now.
+    /// The program's present step, in its own words.
     pub phase: u32,
     /// The pass that the program belongs to.
     pub pass: u32,
@@ -99,7 +99,7 @@ impl Cycle {
     }
 }
 
-/// What the loop is asked and what it tells.
+/// Requests to the loop, and its answers.
 #[derive(Default)]
 struct Shared {
     factor: AtomicU32,
@@ -112,7 +112,7 @@ struct Shared {
     swap: AtomicBool,
 }
 
-/// What the loop has done.
+/// Result of the loop.
 #[derive(Clone, Copy, Debug)]
 pub struct Account {
     /// Milliseconds of the board.
@@ -126,7 +126,7 @@ pub struct Account {
     pub traffic: Option<(u64, u64)>,
 }
 
-/// What the loop's thread leaves.
+/// State that the loop's thread leaves.
 type Traffic = Option<(u64, u64)>;
 
 /// The running machine.
@@ -237,7 +237,7 @@ impl Plant {
 impl Drop for Plant {
     fn drop(&mut self) {
         if self.thread.is_some() {
-            // What it died of is told by whoever looks after it.
+            // The reason of its end is reported by its owner.
             self.join().ok();
         }
     }
@@ -247,7 +247,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What `sampler` has written down of a servo cycle.
+/// A servo cycle, as `sampler` has recorded it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sample {
     number: u64,
@@ -299,7 +299,7 @@ struct Loop {
     /// Milliseconds of the machine that the board has lived through and the machine has not.
     ahead_ms: f64,
     heard: Option<Instant>,
-    /// What the spindle's drive has reached, in r/min.
+    /// Speed that the spindle's drive has reached, in r/min.
     spindle_rpm: f64,
 }
 
@@ -383,7 +383,7 @@ impl Loop {
     /// evenly over the servo cycles that have come.
     fn hear(&mut self, slower: u32) -> Result<()> {
         if slower > 1 && self.ahead_ms <= 0.0 {
-            // What comes within a millisecond of the board belongs to it.
+            // Frames within a millisecond of the board belong to it.
             return Ok(());
         }
         let samples: Vec<Sample> = self.samples.try_iter().collect();

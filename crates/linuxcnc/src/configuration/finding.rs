@@ -1,4 +1,4 @@
-//! What a check is asked, and what it finds: a place, what is there, what to do.
+//! A check's input and its findings: a place, the setting there, the remedy.
 
 use trueup_machine::{BadInput, Location, Machine};
 
@@ -20,9 +20,9 @@ pub struct Finding {
     pub severity: Severity,
     /// Where it is.
     pub place: Location,
-    /// What is there and what follows from it.
+    /// The setting and its effect.
     pub what: String,
-    /// What to do about it.
+    /// The remedy.
     pub help: String,
 }
 
@@ -40,14 +40,14 @@ impl Finding {
     }
 }
 
-/// What is read wrong is an error of the configuration too.
+/// A file that cannot be read is an error of the configuration too.
 impl From<BadInput> for Finding {
     fn from(BadInput { place, rule, help, .. }: BadInput) -> Self {
         Self::error(place, rule, help.unwrap_or_default())
     }
 }
 
-/// What is asked of the offsets.
+/// Requirements on the offsets.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Demand {
     /// Where they enter.
