@@ -1,8 +1,9 @@
 //! The Debian package of the host tool: `cargo xtask deb`; with `--try` it is installed into an empty Debian
 //! and used there, because a tool that runs where it was built proves nothing.
 //!
-//! It has the tool, which carries firmware, examples and the controls' files in itself, its manual's
-//! pages and what shells complete it with. The tool's own manifest says which file goes where.
+//! It has the tool, which carries firmware, examples and the controls' files in itself, the library of the bridge
+//! without a board, its manual's pages and what shells complete it with. The tool's own manifest says which file goes
+//! where.
 
 use std::{
     fs,
@@ -11,7 +12,7 @@ use std::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use trueup_emulator::{images, process, setup};
+use trueup_emulator::{images, process, programs, setup};
 
 use crate::cargo;
 
@@ -26,6 +27,7 @@ pub fn package() -> Result<PathBuf> {
     // Before the tool, which takes what is there.
     images::carried()?;
     process::run(cargo::locked("build").args(["--release", "--package", "trueup-cli"]))?;
+    library(None)?;
     let root = setup::root();
     describe(&root.join("target/release/trueup"), &root.join("target/deb"))?;
     packed(&[])
@@ -36,7 +38,21 @@ pub fn package() -> Result<PathBuf> {
 /// # Errors
 /// cargo-deb cannot be had or fails.
 pub fn package_for(target: &str) -> Result<PathBuf> {
+    library(Some(target))?;
     packed(&["--target", target])
+}
+
+/// Builds the library of the bridge without a board, for another Linux or this computer, and puts it next to the tool,
+/// where `trueup linuxcnc component` looks for it.
+///
+/// # Errors
+/// It does not compile, or the tool was not built before.
+pub fn library(target: Option<&str>) -> Result<PathBuf> {
+    let built = programs::servo_library_for(target)?;
+    let folder = setup::root().join("target").join(target.unwrap_or_default()).join("release");
+    let library = folder.join(built.file_name().context("a library has a name")?);
+    fs::copy(&built, &library).with_context(|| library.display().to_string())?;
+    Ok(library)
 }
 
 fn packed(target: &[&str]) -> Result<PathBuf> {
@@ -66,6 +82,7 @@ trueup compile found/extended.toml -o cal.bin
 trueup show cal.bin > shown.toml
 test $(trueup firmware images | wc -l) = IMAGES
 test -f /usr/share/man/man1/trueup.1.gz
+test -f /usr/lib/trueup/libtrueup_servo.a
 test -f /usr/share/bash-completion/completions/trueup
 apt-get remove -y trueup
 test ! -e /usr/bin/trueup

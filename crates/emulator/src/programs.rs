@@ -20,8 +20,17 @@ pub fn trueup() -> Result<PathBuf> {
 /// # Errors
 /// It does not compile.
 pub fn servo_library() -> Result<PathBuf> {
+    servo_library_for(None)
+}
+
+/// Builds the same for another platform, as Rust names it; `None`: for this computer.
+///
+/// # Errors
+/// It does not compile.
+pub fn servo_library_for(target: Option<&str>) -> Result<PathBuf> {
     let output = process::cargo()
         .args(["rustc", "--locked", "-p", "trueup-servo", "--lib", "--profile", "servo"])
+        .args(target.map(|target| ["--target", target]).into_iter().flatten())
         .args(["--crate-type", "staticlib", "--message-format", "json-render-diagnostics"])
         .args(["--", "--cfg", "trueup_library"])
         .current_dir(setup::root())

@@ -2,7 +2,7 @@
 //!
 //! | for | files | by |
 //! |---|---|---|
-//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, manual pages, completions, licences; a Debian package for each | this file |
+//! | Linux, x86-64 and arm64 | `.tar.gz` with the tool, the library of the bridge without a board, manual pages, completions, licences; a Debian package for each | this file |
 //! | Windows, x86-64 | `.zip` with the tool and licences | this file |
 //! | the board | images with their `.elf`, which alone can read a board's log; the update of boards with two firmware slots | this file |
 //! | who must answer for a product | parts lists, licences, known vulnerabilities, declarations | `papers.rs` |
@@ -212,6 +212,10 @@ fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     let tool = if *is_windows { "trueup.exe" } else { "trueup" };
     let built = built.join("release").join(tool);
     fs::copy(&built, content.join(tool)).with_context(|| built.display().to_string())?;
+    if !is_windows {
+        let library = debian::library((!is_own).then_some(target))?;
+        fs::copy(&library, content.join(library.file_name().context("a library has a name")?))?;
+    }
     for text in ["README.md", "CHANGELOG.md", "LICENSE-MIT", "LICENSE-APACHE"] {
         fs::copy(root.join(text), content.join(text))?;
     }
