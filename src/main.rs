@@ -15,8 +15,8 @@
 //! | `serial_receive` | USART1, a pause or half a ring of bytes | 5 | 0.24 ms; 128 bytes, 10.8 µs each | 1.39 ms, the other half | USART1, DMA | byte queue |
 //! | `serial_moved` | DMA2 stream 2, half a ring of bytes | 5 | 1.39 ms | 1.39 ms | | |
 //! | `sample` | DMA2 stream 0, 20 codes | 4 | 1 ms | 1 ms, the next block | samples, temperatures | node, port, CAN |
-//! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 5 | 95 µs; at 16 MHz 573 µs | 95 µs, the next byte at 115 200 Bd; at 16 MHz 573 µs, 19 200 Bd | USART3 | byte queues |
-//! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
+//! | `modbus_line` | USART3, a byte from the PLC, room for one to it | 6 | 95 µs; at 16 MHz 573 µs | 95 µs, the next byte at 115 200 Bd; at 16 MHz 573 µs, 19 200 Bd | USART3 | byte queues |
+//! | `can_receive_0`, `_1` | CAN1, a frame in the FIFO | 3 | 2 ms; at 144 MHz never; at 16 MHz never | 2 ms, the next cycle of 2 × 3 frames | CAN | node |
 //! | `listen` | bytes in the queue | 3 | 0.24 ms; 128 bytes, 10.8 µs each, 22 a line | 256 bytes (2.8 ms) | byte queue | port, node |
 //! | `supervise` | `SysTick`, 10 ms | 2 | 10 ms | 100 ms, the watchdog | node, image, registers, stack | samples, watchdog, lamp, flash |
 //! | `service` | 2 ms since its last turn | 2 | 2 ms | 10 ms | node | node, port, CAN |
@@ -27,11 +27,11 @@
 //! | `idle` | nothing else to do | 0 | | | | |
 //!
 //! `arrives`: how often a task starts at the most. A pause of the serial line comes once a line of 22 bytes, a frame of a PLC has
-//! 8 bytes and a silence. `cargo xtask bounds` reads this table.
+//! 8 bytes and a silence; without its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
-//! docs/robustness.md): no task waits for half its deadline, on any clock. Interrupts are off for 15 µs at the
-//! longest, 135 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
+//! docs/robustness.md): no task waits for half its deadline, on any clock. Interrupts are off for 12 µs at the
+//! longest, 110 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
 //! 16 MHz, and the serial line where its DMA is dead.
 //!
 //! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on
@@ -298,7 +298,7 @@ mod app {
     }
 
     /// Bytes from the PLC, each with its time, and those of an answer to it.
-    #[task(binds = USART3, priority = 5, local = [rs485, to_modbus, from_modbus])]
+    #[task(binds = USART3, priority = 6, local = [rs485, to_modbus, from_modbus])]
     fn modbus_line(cx: modbus_line::Context) {
         let _turn = alive::enter(Task::ModbusLine);
         while let Some(heard) = cx.local.rs485.take() {

@@ -1,9 +1,11 @@
-//! A PLC's view of the node, which it shares with every other task: each look is short, and the CRC of a block is
-//! computed outside of it.
+//! A PLC's view of the node, which it shares with every other task: each look is short. A block that is read is a copy of one
+//! moment, encoded and sealed outside of the lock. A block that is written is checked and decoded outside of it, accepted or
+//! refused as a whole in one look, and its values follow one by one before the answer, as the frames of a CNC do.
 
 use rtic::Mutex;
 use trueup_modbus::{
-    cnc, input,
+    cnc::{self, Block},
+    input,
     server::{Bridge, Busy},
 };
 use trueup_node::node::Node;
@@ -20,7 +22,13 @@ impl<N: Mutex<T = &'static mut Node<'static>>> Bridge for Registers<N> {
         self.0.lock(|node| node.holding())
     }
 
-    fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.lock(|node| node.hear_block(block))
+    fn take(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
+        let block = Block::examine(registers);
+        if self.0.lock(|node| node.hear_block(&block))? {
+            for value in block.values() {
+                self.0.lock(|node| node.hear_value(value));
+            }
+        }
+        Ok(())
     }
 }

@@ -6,11 +6,13 @@ use std::{collections::BTreeMap, path::PathBuf, process::Command, sync::OnceLock
 
 use trueup_bounds::{
     decode::{self, Flow},
+    firmware::{FIRMWARE, WORDS},
     image::Image,
     report::Bounds,
 };
 use trueup_checks::bounds;
 use trueup_emulator::{firmware, setup};
+use trueup_store::writes::What;
 
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
@@ -27,10 +29,15 @@ fn bounded() -> &'static Bounds {
 /// Tasks that are bounded below their deadline without the accelerator of the flash, by clock. Of all others it is not shown
 /// (docs/robustness.md has the reasons), and their responses are measured on the model instead (`chip`, `waits`).
 const SHOWN: &[&str] = &[
+    "168 MHz sample",
     "168 MHz serial_receive",
     "168 MHz serial_moved",
+    "168 MHz modbus_line",
+    "144 MHz sample",
     "144 MHz serial_receive",
     "144 MHz serial_moved",
+    "144 MHz modbus_line",
+    "16 MHz modbus_line",
 ];
 
 #[test]
@@ -52,6 +59,24 @@ fn responses_are_below_their_deadlines_where_it_is_shown() {
     let in_time = bounds.all.iter().map(|it| format!("{} {}", it.clock, it.task));
     let in_time: Vec<String> = in_time.filter(|it| !late.contains(it)).collect();
     assert_eq!(in_time, SHOWN);
+}
+
+#[test]
+fn words_in_the_log_are_as_long_as_their_bound() {
+    let declared = FIRMWARE.copies.iter().find(|it| it.at.function == WORDS);
+    let longest = What::ALL.map(|what| what.word().len()).into_iter().max();
+    assert_eq!(declared.map(|it| it.bytes as usize), longest);
+}
+
+#[test]
+fn a_task_whose_load_is_the_whole_time_has_no_response() {
+    let bounds = bounded();
+    for it in &bounds.all {
+        let place = format!("{} {}: {:.2}", it.clock, it.task, it.share);
+        assert!(it.share > 0.0 && (it.share < 1.0 || it.response_us.is_none()), "{place}");
+    }
+    // CAN stays silent without its crystal.
+    assert_eq!(bounds.all.len(), 13 + 11 + 11);
 }
 
 /// The disassembler of LLVM says: address, and the target of a branch.

@@ -103,7 +103,7 @@ impl Bridge for Direct<'_, '_> {
     }
 
     fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.hear_block(block)
+        self.0.hear_registers(block)
     }
 }
 

@@ -2,8 +2,8 @@
 //! a frame of the CNC or of a CANopen master, or with a block of a PLC.
 //!
 //! Shown on the images that are flashed and booted, after the linker: no chain of calls leads from
-//! `Node::tick`, `Node::hear`, `Node::service`, `Node::said` or `Node::hear_block` to a function of the panic
-//! machinery, to a trap, or to a call through a pointer, behind which anything could stand. So no input whatever (nor a
+//! `Node::tick`, `Node::hear`, `Node::service`, `Node::said`, `Node::hear_block` or `Node::hear_value` to a function of the
+//! panic machinery, to a trap, or to a call through a pointer, behind which anything could stand. So no input whatever (nor a
 //! calibration that was loaded) makes them stop there. This does not show that the values are
 //! right, that loops end, that the stack suffices; the first two are for the property tests of the
 //! core.
@@ -17,7 +17,9 @@ use trueup_emulator::{
 fn entries(board: Board) -> &'static [&'static str] {
     match board {
         Board::Stm32f405 => {
-            &["4Node4tick", "4Node4hear", "4Node7service", "Node$GT$4said", "Node$GT$10hear_block"]
+            const PLC: [&str; 3] =
+                ["Node$GT$4said", "Node$GT$10hear_block", "Node$GT$10hear_value"];
+            &["4Node4tick", "4Node4hear", "4Node7service", PLC[0], PLC[1], PLC[2]]
         }
         Board::Virtual => &["4Node4tick", "4Node4hear", "4Node7service"],
     }

@@ -17,10 +17,10 @@ pub fn open<F: NorFlash>(flash: F, calibration: u32) -> (References<F>, Kept) {
     let Found { standing, is_new, taken, supply, named, foreign, damaged } = found;
     match standing {
         Some((number, Standing { reference, is_offered: true, .. })) => {
-            say(number, &reference, "offered");
+            say(number, &reference, defmt::intern!("offered"));
         }
         Some((number, Standing { reference, .. })) if reference != Reference::default() => {
-            say(number, &reference, "taken up");
+            say(number, &reference, defmt::intern!("taken up"));
         }
         _ => defmt::info!("no reference is stored for this calibration"),
     }
@@ -62,15 +62,16 @@ pub fn keep<F: NorFlash>(
     references.set_supply(supply);
     match references.append(standing) {
         Ok(number) => {
-            say(
-                number,
-                &standing.reference,
-                if standing.is_offered { "offered" } else { "stored" },
-            );
+            let what = if standing.is_offered {
+                defmt::intern!("offered")
+            } else {
+                defmt::intern!("stored")
+            };
+            say(number, &standing.reference, what);
             true
         }
         Err(error) => {
-            say(0, &standing.reference, "NOT stored");
+            say(0, &standing.reference, defmt::intern!("NOT stored"));
             defmt::error!("the reference is lost with the power: {}", error);
             false
         }
@@ -92,10 +93,11 @@ pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) ->
     }
 }
 
-fn say(number: u32, reference: &Reference, what: &str) {
+/// `what` is a number in the image: a text would be sent letter by letter, with interrupts off.
+fn say(number: u32, reference: &Reference, what: defmt::Str) {
     let [x, y, z] = reference.axes.map(|axis| axis.rounded().0);
     defmt::info!(
-        "reference {=u32} {=str}: elongation {=i32} nm, X {=i32}, Y {=i32}, Z {=i32} nm",
+        "reference {=u32} {=istr}: elongation {=i32} nm, X {=i32}, Y {=i32}, Z {=i32} nm",
         number,
         what,
         reference.elongation.0,

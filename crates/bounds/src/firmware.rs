@@ -4,7 +4,7 @@
 
 use crate::table::{
     CopyLength, Excluded, LoopBound, Once,
-    Rounds::{self, Byte, Length, Micros, Odd, Terms, Times, Tools},
+    Rounds::{self, Byte, Copied, Length, Mask, Micros, Odd, Terms, Times, Together, Tools},
     Spot, Table,
 };
 
@@ -37,13 +37,16 @@ const fn excluded(function: &'static str, line: &'static str, reason: &'static s
 const EXCLUSIVE: &str = "an exclusive store fails only where an interrupt came in between, and the entry of that one is \
                          priced with a round of this";
 const TERMS: &str = "at most 16 terms (`MAX_TERMS`, `core/src/dimensions.rs`)";
-const COPY: &str = "a word or a byte in each round, `compiler_builtins`";
+const COPY: &str = "a word or a byte each, `compiler_builtins`";
 const ODD: &str = "the bytes that no whole word has, `compiler_builtins`";
 
 const RARE: &str =
     "of n events log₂(n) are in the log: one entry at a time is in every response, as blocking";
 const ONCE: &str =
     "logged once in the life of a start: one entry at a time is in every response, as blocking";
+
+/// Puts a word into the log, letter by letter.
+pub const WORDS: &str = "defmt::export::str";
 
 /// The declarations.
 pub const FIRMWARE: Table = Table {
@@ -137,7 +140,12 @@ const LOOPS: &[LoopBound] = &[
         Length { argument: 1, per: 1, more: 0 },
         "a byte each",
     ),
-    bound("Node>::hear_plc", "", Times(6), "three positions, angles, spindle, conditions"),
+    bound(
+        "plc::Registers",
+        "block.values()",
+        Times(6),
+        "three positions, angles, spindle, conditions",
+    ),
     bound("cnc::Cnc::decode", "", Times(3), "three axes"),
     bound("protect::put_long", "", Times(2), "two registers"),
     bound(
@@ -150,7 +158,7 @@ const LOOPS: &[LoopBound] = &[
     bound("Emergencies::error", "", Times(8), "`HISTORY`, `canopen/src/emergency.rs`"),
     bound("Object::entry", "", Times(64), "the entries of an object"),
     bound("dictionary::object", "", Times(64), "the objects"),
-    bound("health::Health::mend", "", Times(20), "the codes of a block, `CODES_PER_TICK`"),
+    bound("health::Health::mend", "", Together(20), "the codes of a block, `CODES_PER_TICK`"),
     bound("sdo::block::Block::take", "", Times(7), "a segment of at most seven bytes"),
     bound("sdo::number_of", "", Times(4), "a number of at most four bytes"),
     // The log.
@@ -168,17 +176,23 @@ const LOOPS: &[LoopBound] = &[
         "the longest answer, `MAX_FRAME`, `modbus/src/server.rs`",
     ),
     bound("VecInner<T,LenT,S>::resize", "", Times(260), "`MAX_FRAME`, `modbus/src/server.rs`"),
-    bound("u64_div_rem", "", Times(64), "a bit of the quotient in each round, `compiler_builtins`"),
+    bound(
+        "u64_div_rem",
+        "",
+        Mask(32),
+        "`pow`, a bit of 32, is halved in each round, and the quotient is complete with its last bit (`delegate.rs` of \
+         `compiler_builtins`)",
+    ),
     bound("copy_forward_bytes", "", Odd { argument: 2 }, ODD),
     bound("set_bytes_bytes", "", Odd { argument: 1 }, ODD),
-    bound("copy_forward_aligned_words", "", Length { argument: 2, per: 4, more: 1 }, COPY),
-    bound("copy_forward_misaligned_words", "", Length { argument: 2, per: 4, more: 1 }, COPY),
-    bound("copy_backward_aligned_words", "", Length { argument: 2, per: 4, more: 1 }, COPY),
-    bound("copy_backward_misaligned_words", "", Length { argument: 2, per: 4, more: 1 }, COPY),
+    bound("copy_forward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY),
+    bound("copy_forward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY),
+    bound("copy_backward_aligned_words", "", Copied { argument: 2, per: 4 }, COPY),
+    bound("copy_backward_misaligned_words", "", Copied { argument: 2, per: 4 }, COPY),
     bound("mem::impls::compare_bytes", "", Length { argument: 2, per: 1, more: 1 }, COPY),
-    bound("__aeabi_memcpy4", "", Length { argument: 2, per: 4, more: 1 }, COPY),
-    bound("set_bytes_words", "", Length { argument: 1, per: 4, more: 1 }, COPY),
-    bound("__aeabi_memset4", "", Length { argument: 1, per: 4, more: 1 }, COPY),
+    bound("__aeabi_memcpy4", "", Copied { argument: 2, per: 4 }, COPY),
+    bound("set_bytes_words", "", Copied { argument: 1, per: 4 }, COPY),
+    bound("__aeabi_memset4", "", Copied { argument: 1, per: 4 }, COPY),
     // Waits for the chip.
     bound(
         "serial::SerialOut::poll",
@@ -219,7 +233,7 @@ const COPIES: &[CopyLength] = &[
         "a serial frame without its CRC, `MAX_FRAME`, `modbus/src/rtu.rs`",
     ),
     copy("server::answered", "frame.finalize", 59, "the longest answer without its CRC"),
-    copy("defmt::export::str", "", 32, "the words in the log, `WriteKind::word` the longest"),
+    copy(WORDS, "", 9, "the words in the log, those of `What::word` the longest"),
 ];
 
 const EXCLUDED: &[Excluded] = &[

@@ -26,6 +26,7 @@ pub mod pieces;
 pub mod program;
 pub mod report;
 pub mod response;
+pub mod rounds;
 pub mod sections;
 pub mod source;
 pub mod table;

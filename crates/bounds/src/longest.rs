@@ -22,6 +22,8 @@ pub trait Prices {
     fn fill(&self, one: &Loop) -> Option<u64>;
     /// Returns the cycles of a loop until it comes to its last round, by the cycles of its longest round.
     fn rounds(&self, one: &Loop, round: u64) -> u64;
+    /// Returns the headers of the loops within a loop whose rounds are among its own.
+    fn joined(&self, one: &Loop) -> BTreeSet<usize>;
 }
 
 /// Returns the longest way from `entry` to the end of each block of `within` that it leads to.
@@ -100,8 +102,11 @@ fn walk(
 /// The longest ways from where a loop is entered to the end of each of its blocks, all rounds included.
 fn around(graph: &Graph, prices: &impl Prices, one: &Loop, is_kept: bool) -> BTreeMap<usize, u64> {
     let inner = walk(graph, prices, &one.blocks, one.header, true, is_kept);
+    // A round that begins at a header within is a part of one that begins at this one.
+    let mut headers = prices.joined(one);
+    headers.insert(one.header);
     let backs = inner.iter().filter_map(|(block, way)| {
-        let edges = graph.blocks[*block].next.iter().filter(|edge| edge.to == one.header);
+        let edges = graph.blocks[*block].next.iter().filter(|edge| headers.contains(&edge.to));
         Some(way + edges.map(|edge| prices.edge(*block, edge, is_kept)).max()?)
     });
     let rounds = prices.rounds(one, backs.max().unwrap_or(0));

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::{
-    decode::{Flow, Instruction},
+    decode::{Address, Effect, Flow, Instruction, SP},
     flow::{self, Edge, Graph},
     image::Image,
     values::{self, Base, Flagged, State, Value, holds},
@@ -26,6 +26,8 @@ pub struct Loop {
 
 /// How often a loop may go round before a test is believed not to end it.
 const MAX_ROUNDS: u32 = 1 << 20;
+/// The register that holds the frame of a function (AAPCS for Thumb): what is near it is on the stack.
+const FRAME: u8 = 7;
 
 /// Returns the strongly connected components of some blocks, entered by `entry`, without the edges back to it; each before
 /// those that it leads to.
@@ -324,6 +326,50 @@ pub fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
     let goes_back =
         |block: &usize| graph.blocks[*block].next.iter().any(|edge| edge.to == one.header);
     one.is_reducible && one.blocks.iter().filter(leaves).all(goes_back)
+}
+
+/// Returns how many words each round stores at the least, but for those on the stack.
+#[must_use]
+pub fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
+    let stores = |block: usize| {
+        let stored = graph.blocks[block].instructions.iter().filter_map(|it| {
+            let access = it.access.filter(|access| !access.is_load && it.condition.is_none())?;
+            let is_own = matches!(access.at, Address::Near(FRAME | SP, _));
+            (!is_own).then_some(access.words)
+        });
+        stored.sum::<u32>()
+    };
+    let mut fewest = BTreeMap::from([(one.header, stores(one.header))]);
+    let mut open = BTreeSet::from([(fewest[&one.header], one.header)]);
+    while let Some((so_far, block)) = open.pop_first() {
+        for edge in &graph.blocks[block].next {
+            if edge.to == one.header || !one.blocks.contains(&edge.to) {
+                continue;
+            }
+            let way = so_far + stores(edge.to);
+            if fewest.get(&edge.to).is_none_or(|known| way < *known) {
+                fewest.insert(edge.to, way);
+                open.insert((way, edge.to));
+            }
+        }
+    }
+    let goes_back =
+        |block: &usize| graph.blocks[*block].next.iter().any(|edge| edge.to == one.header);
+    fewest.iter().filter(|(block, _)| goes_back(block)).map(|(_, it)| *it).min().unwrap_or(0)
+}
+
+/// Returns the fewest bits by which every round moves a register down; 1: none.
+#[must_use]
+pub fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
+    let passed = one.blocks.iter().filter(|block| is_passed(graph, one, **block));
+    let instructions = passed.flat_map(|block| &graph.blocks[*block].instructions);
+    let shifts = instructions.filter_map(|it| match it.effect {
+        Effect::Shift(to, from, by) if to == from && by < 0 && it.condition.is_none() => {
+            Some(u32::from(by.unsigned_abs()))
+        }
+        _ => None,
+    });
+    shifts.min().unwrap_or(1)
 }
 
 /// Returns the largest number by which each round changes a register, up to 64.

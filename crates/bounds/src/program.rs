@@ -12,6 +12,7 @@ use crate::{
     flow::{self, Call, Graph, returning_blocks},
     image::Image,
     loops::{self, Loop},
+    rounds,
     source::Source,
     table::{self, Rounds, Sizes, Spot, Table},
     values::{self, State},
@@ -345,22 +346,13 @@ impl<'a> Program<'a> {
             let number = self.declared.find("loop", &spots, *at, &graph.name)?;
             Some(self.declared.table.loops[number].rounds)
         });
-        let declared = declared.map(|rounds| match rounds {
-            Rounds::Odd { argument } => match arguments[argument] {
-                Some(length) => Rounds::Times(if length < 16 { length } else { 3 }),
-                None => self.unknown_length(graph),
-            },
-            Rounds::Length { argument, per, more } => match arguments[argument] {
-                Some(length) => {
-                    // Unrolled, a round moves an address by more.
-                    let step = loops::largest_step(self.image, graph, starts, &one);
-                    Rounds::Times(length.div_ceil(per.max(step)) + more)
-                }
-                None => self.unknown_length(graph),
-            },
-            Rounds::Terms => Rounds::Times(self.sizes.terms),
-            Rounds::Tools => Rounds::Times(self.sizes.tools),
-            other => other,
+        let declared = declared.map(|rounds| {
+            let known = rounds::of_loop(rounds, self.image, (graph, starts), arguments, &one);
+            match known.unwrap_or_else(|| self.unknown_length(graph)) {
+                Rounds::Terms => Rounds::Times(self.sizes.terms),
+                Rounds::Tools => Rounds::Times(self.sizes.tools),
+                other => other,
+            }
         });
         // One that is left behind its body alone goes back once less than it has rounds.
         let declared = declared.map(|rounds| match rounds {

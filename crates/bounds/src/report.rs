@@ -32,6 +32,9 @@ pub struct Bound {
     pub turn_us: f64,
     /// The longest that a task below holds it off.
     pub blocking_us: f64,
+    /// The share of the time that it may take in the long run, with all tasks of its priority and above. From 1 on
+    /// nothing bounds its response.
+    pub share: f64,
     /// From its start to its end at the longest; `None`: longer than the deadline.
     pub response_us: Option<f64>,
     /// The same while a word of the flash is programmed, which no task interrupts.
@@ -65,18 +68,15 @@ pub fn of(
     sizes: Sizes,
 ) -> Result<Bounds> {
     let program = Program::new(image, table, source, sizes);
-    let tasks = tasks::read(app)?;
-    let functions = tasks.iter().filter_map(|task| image.function(&task.interrupt));
+    let all_tasks = tasks::read(app)?;
+    let functions = all_tasks.iter().filter_map(|task| image.function(&task.interrupt));
     let entries = functions.map(|it| Entry { start: it.start, arguments: [None; 4] });
-    let mut exceptions = Vec::new();
-    for task in &tasks {
-        let function = image.function(&task.interrupt);
-        let number = function.and_then(|it| image.exception(it.start));
-        exceptions.push(number.with_context(|| format!("no vector leads to {}", task.interrupt))?);
-    }
     program.find_ram(&entries.collect::<Vec<_>>());
     let mut all = Vec::new();
     for clock in CLOCKS {
+        let tasks: Vec<Task> =
+            all_tasks.iter().filter(|task| task.runs_at(clock.mhz)).cloned().collect();
+        let exceptions = exceptions(image, &tasks)?;
         let (loads, turns) = loads(&program, image, &tasks, clock)?;
         all.extend(tasks.iter().enumerate().map(|(number, task)| {
             let deadline_us = task.deadline_us(clock.mhz);
@@ -94,6 +94,7 @@ pub fn of(
                 priority: task.priority,
                 turn_us: us(turns[number]),
                 blocking_us: us(loads[number].blocking),
+                share: response::share(&loads, number, Core::at(&clock)),
                 response_us: longest(&loads),
                 stalled_us: longest(&stalled),
                 deadline_us,
@@ -102,6 +103,16 @@ pub fn of(
     }
     let loops = program.origins();
     Ok(Bounds { all, problems: program.problems(), unused: program.unused(), loops })
+}
+
+/// The numbers of the tasks' exceptions.
+fn exceptions(image: &Image, tasks: &[Task]) -> Result<Vec<u32>> {
+    let number = |task: &Task| {
+        let function = image.function(&task.interrupt);
+        let number = function.and_then(|it| image.exception(it.start));
+        number.with_context(|| format!("no vector leads to {}", task.interrupt))
+    };
+    tasks.iter().map(number).collect()
 }
 
 /// The tasks in cycles on a clock, and behind them the functions that are called once in a while, as tasks of their own;
@@ -187,13 +198,14 @@ impl Bounds {
             writeln!(text, "\n{}, {} wait states; in µs", clock.name, clock.flash).ok();
             writeln!(
                 text,
-                "{:<16} {:>4} {:>10} {:>9} {:>6} {:>10} {:>10} {:>10} {:>10}",
+                "{:<16} {:>4} {:>10} {:>9} {:>6} {:>10} {:>6} {:>10} {:>10} {:>10}",
                 "task",
                 "prio",
                 "turn",
                 "seen",
                 "times",
                 "blocked",
+                "load",
                 "response",
                 "stalled",
                 "deadline"
@@ -208,13 +220,14 @@ impl Bounds {
                 };
                 writeln!(
                     text,
-                    "{:<16} {:>4} {:>10.1} {:>9} {:>6} {:>10.1} {:>10} {:>10} {:>10.1}",
+                    "{:<16} {:>4} {:>10.1} {:>9} {:>6} {:>10.1} {:>5.0}% {:>10} {:>10} {:>10.1}",
                     bound.task,
                     bound.priority,
                     bound.turn_us,
                     seen.as_deref().unwrap_or("–"),
                     times.as_deref().unwrap_or("–"),
                     bound.blocking_us,
+                    100.0 * bound.share,
                     or_late(bound.response_us),
                     or_late(bound.stalled_us),
                     bound.deadline_us,

@@ -69,6 +69,15 @@ impl Load {
         self.empty + self.waiting * self.each
     }
 
+    /// Returns the share of the time that it may take in the long run.
+    #[must_use]
+    pub fn share(&self, core: Core) -> f64 {
+        let period = self.period as f64;
+        let bytes = if self.gap == 0 { 0.0 } else { 1.0 / self.gap as f64 };
+        let bytes = bytes.min(self.waiting as f64 / period);
+        (self.empty + core.switch) as f64 / period + bytes * self.each as f64
+    }
+
     /// Cycles that it may take within a window.
     fn demand(&self, window: u64, switch: u64) -> u64 {
         let starts = window.div_ceil(self.period) + u64::from(self.is_raised);
@@ -76,6 +85,14 @@ impl Load {
         let bytes = bytes.min(starts * self.waiting);
         starts * (self.empty + switch) + bytes * self.each
     }
+}
+
+/// Returns the share of the time that a task and all of its priority and above may take in the long run. From 1 on no response
+/// below is bounded, however late it may be.
+#[must_use]
+pub fn share(tasks: &[Load], number: usize, core: Core) -> f64 {
+    let above = tasks.iter().filter(|task| task.priority >= tasks[number].priority);
+    above.map(|task| task.share(core)).sum::<f64>() * (1.0 + core.dma_per_mille as f64 / 1_000.0)
 }
 
 /// Returns the longest response of a task in cycles; `None`: it is longer than `limit`.
@@ -144,5 +161,13 @@ mod tests {
         // 200 cycles: four starts, and 4 bytes that waited with three that came.
         assert_eq!(line.demand(200, 0), 4 + 7 * 10);
         assert_eq!(line.longest(), 41);
+        // A start in 50 cycles, a byte in 100; where no more than the bytes of a start can wait, these.
+        assert_eq!(line.share(IDEAL), 1.0 / 50.0 + 10.0 / 100.0);
+        let seldom = Load { period: 1_000, ..line.clone() };
+        assert_eq!(seldom.share(IDEAL), 1.0 / 1_000.0 + 4.0 * 10.0 / 1_000.0);
+        // Those below do not count.
+        let tasks = [task(3, 10, 2, 0), task(2, 10, 3, 0), task(2, 10, 1, 0)];
+        let of = |number| share(&tasks, number, IDEAL);
+        assert!((of(0) - 0.2).abs() < 1e-12 && (of(1) - 0.6).abs() < 1e-12);
     }
 }

@@ -14,7 +14,21 @@ pub enum Rounds {
         /// Rounds beyond.
         more: u32,
     },
-    /// Once for each byte that no whole word has: all of a length below 16, otherwise 3 (`compiler_builtins`).
+    /// Once for each `per` bytes that it stores, of a length that is the argument of this number. A round that stores more
+    /// words, because the compiler has unrolled the loop, counts for as many.
+    Copied {
+        /// Number of the argument, from 0.
+        argument: usize,
+        /// Bytes of a store.
+        per: u32,
+    },
+    /// Once for each bit of a mask that every round moves down by one; by as many as the code says where it is unrolled.
+    Mask(u32),
+    /// At the most as often as this, with all loops within it that the same declaration is for: it is one loop in the
+    /// source, of which the compiler has made several.
+    Together(u32),
+    /// Once for each byte that no whole word has: all of a length below 16, otherwise 3 (`compiler_builtins`). Unrolled as
+    /// [`Self::Copied`].
     Odd {
         /// Number of the argument, from 0.
         argument: usize,

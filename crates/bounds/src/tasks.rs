@@ -2,7 +2,7 @@
 //! table on top.
 //!
 //! A row of the table: `| task | trigger | priority | arrives | deadline | …`. The columns are found by their heads. A cell
-//! has a time, and others for single clocks: `95 µs; at 16 MHz 573 µs`. `arrives` says how often a task starts at the
+//! has a time, and others for single clocks: `95 µs; at 16 MHz 573 µs`, or `at 16 MHz never`. `arrives` says how often a task starts at the
 //! most, and which bytes it finds: `0.24 ms; 256 bytes, 10.8 µs each`.
 
 use std::collections::BTreeMap;
@@ -40,6 +40,12 @@ pub struct Bytes {
 }
 
 impl Task {
+    /// Returns whether anything starts it at a clock of that many MHz.
+    #[must_use]
+    pub fn runs_at(&self, mhz: u32) -> bool {
+        self.periods_us.get(&Some(mhz)) != Some(&f64::INFINITY)
+    }
+
     /// Returns the time between two starts at a clock of that many MHz, in microseconds.
     #[must_use]
     pub fn period_us(&self, mhz: u32) -> f64 {
@@ -161,6 +167,8 @@ fn by_clock(cell: &str) -> Option<BTreeMap<Option<u32>, f64>> {
     let mut all = BTreeMap::new();
     for part in cell.split("; ").filter(|part| !part.contains(" bytes,")) {
         match part.strip_prefix("at ").and_then(|rest| rest.split_once(" MHz ")) {
+            // Its unit is off at that clock.
+            Some((mhz, "never")) => all.insert(Some(mhz.parse().ok()?), f64::INFINITY),
             Some((mhz, rest)) => all.insert(Some(mhz.parse().ok()?), duration_us(rest)?),
             // Counted once.
             None if part.starts_with("never") => all.insert(None, f64::INFINITY),
@@ -199,7 +207,7 @@ mod tests {
 
     const APP: &str = "//! | task | trigger | priority | arrives | deadline |\n//! |---|---|---|---|---|\n\
         //! | `fast` | a byte | 5 | 95 µs | 95 µs, the next; at 16 MHz 573 µs, slower |\n\
-        //! | `can_0`, `_1` | a frame | 3 | 0.1 ms; 3 bytes, 10 µs each | 256 bytes (2.8 ms) |\n\
+        //! | `can_0`, `_1` | a frame | 3 | 0.1 ms; at 16 MHz never; 3 bytes, 10 µs each | 256 bytes (2.8 ms) |\n\
         #[task(binds = USART3, priority = 5, local = [a])]\nfn fast(cx: fast::Context) {}\n\
         #[task(binds = CAN1_RX1, priority = 3)]\nfn can_1(cx: can_1::Context) {}\n";
 
@@ -211,6 +219,10 @@ mod tests {
         assert_eq!((tasks[0].deadline_us(168), tasks[0].deadline_us(16)), (95.0, 573.0));
         assert_eq!((tasks[1].name.as_str(), tasks[1].priority), ("can_1", 3));
         assert_eq!((tasks[1].period_us(168), tasks[1].deadline_us(16)), (100.0, 2_800.0));
+        assert_eq!(
+            [168, 16].map(|mhz| [tasks[0].runs_at(mhz), tasks[1].runs_at(mhz)]),
+            [[true; 2], [true, false]]
+        );
         assert_eq!(tasks[1].bytes, Some(Bytes { gap_us: 10.0, waiting: 3, line: 1 }));
         assert!(!tasks[1].is_raised);
     }

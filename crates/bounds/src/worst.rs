@@ -12,7 +12,7 @@ use crate::{
     flow::{Edge, Graph},
     longest::{self, Prices},
     loops::Loop,
-    program::{Entry, Prepared, Program},
+    program::{Bounded, Entry, Prepared, Program},
     table::Rounds,
 };
 
@@ -156,6 +156,7 @@ impl<'a> Worst<'a> {
         });
         let fills = fills.collect();
         let mut rounds: BTreeMap<usize, Rounds> = BTreeMap::new();
+        let joined = joined(prepared);
         for bounded in &prepared.loops {
             let own = match bounded.rounds {
                 Rounds::Byte => Rounds::Times(self.waiting.unwrap_or_else(|| {
@@ -165,6 +166,12 @@ impl<'a> Worst<'a> {
                     ));
                     0
                 })),
+                Rounds::Together(_)
+                    if joined.values().any(|it| it.contains(&bounded.one.header)) =>
+                {
+                    Rounds::Times(0)
+                }
+                Rounds::Together(times) => Rounds::Times(times),
                 other => other,
             };
             rounds.insert(bounded.one.header, own);
@@ -175,6 +182,7 @@ impl<'a> Worst<'a> {
             blocks,
             fills,
             rounds,
+            joined,
             is_kept: false,
         }
     }
@@ -228,6 +236,23 @@ pub struct Priced {
     fills: BTreeMap<BTreeSet<usize>, u64>,
     is_kept: bool,
     rounds: BTreeMap<usize, Rounds>,
+    /// By the header of a loop those of the loops within it that are one with it in the source.
+    joined: BTreeMap<usize, BTreeSet<usize>>,
+}
+
+/// The headers of loops within others that are one with them in the source.
+fn joined(prepared: &Prepared) -> BTreeMap<usize, BTreeSet<usize>> {
+    let mut joined: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    let is_one = |it: &&Bounded| matches!(it.rounds, Rounds::Together(_));
+    for inner in prepared.loops.iter().filter(is_one) {
+        let around = prepared.loops.iter().filter(is_one).filter(|outer| {
+            outer.one.header != inner.one.header && outer.one.blocks.is_superset(&inner.one.blocks)
+        });
+        if let Some(outer) = around.max_by_key(|outer| outer.one.blocks.len()) {
+            joined.entry(outer.one.header).or_default().insert(inner.one.header);
+        }
+    }
+    joined
 }
 
 impl Priced {
@@ -260,6 +285,10 @@ impl Prices for Priced {
 
     fn fill(&self, one: &Loop) -> Option<u64> {
         self.fills.get(&one.blocks).copied()
+    }
+
+    fn joined(&self, one: &Loop) -> BTreeSet<usize> {
+        self.joined.get(&one.header).cloned().unwrap_or_default()
     }
 
     fn rounds(&self, one: &Loop, round: u64) -> u64 {

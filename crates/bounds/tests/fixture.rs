@@ -30,17 +30,39 @@ const LOCKED: &[u16] =
 /// `cpsid i; ldr r1, [r2]; cpsie i; bx lr`.
 const MASKED: &[u16] = &[0xB672, 0x6811, 0xB662, 0x4770];
 
+/// `push {r4, r5, lr}; sub sp, #8; str r0, [sp]; str r1, [sp, #4]; 1: ldr r3, [sp, #4]; ldr r4, [sp]; ldr r5, [r3]; str r5, [r4];
+/// ldr r5, [r3, #4]; str r5, [r4, #4]; adds r3, #8; adds r4, #8; str r3, [sp, #4]; str r4, [sp]; cmp r4, r2; blo 1b; add sp, #8;
+/// pop {r4, r5, pc}`: two words in a round, their addresses on the stack.
+const COPIES: &[u16] = &[
+    0xB530, 0xB082, 0x9000, 0x9101, 0x9B01, 0x9C00, 0x681D, 0x6025, 0x685D, 0x6065, 0x3308, 0x3408,
+    0x9301, 0x9400, 0x4294, 0xD3F3, 0xB002, 0xBD30,
+];
+/// `1: lsrs r1, r1, #4; orrs r2, r1; cmp r2, r0; blo 1b; bx lr`.
+const HALVES: &[u16] = &[0x0909, 0x430A, 0x4282, 0xD3FB, 0x4770];
+/// `2: ldr r1, [r0]; 1: ldr r2, [r0, #4]; cmp r2, #1; beq 1b; cmp r2, #2; beq 2b; bx lr`: one loop of the source with two headers.
+const THREADED: &[u16] = &[0x6801, 0x6842, 0x2A01, 0xD0FC, 0x2A02, 0xD0F9, 0x4770];
+
 const SLOW: Clock = CLOCKS[2];
 const FAST: Clock = CLOCKS[0];
 
 /// Returns the worst case of the first function, and what is missing.
 fn worst(code: &[&[u16]], table: &Table, clock: Clock) -> (u64, Vec<String>) {
+    worst_of(code, [None; 4], table, clock)
+}
+
+/// As [`worst`], called with these arguments.
+fn worst_of(
+    code: &[&[u16]],
+    arguments: [Option<u32>; 4],
+    table: &Table,
+    clock: Clock,
+) -> (u64, Vec<String>) {
     let names = ["first", "second"];
     let functions: Vec<_> =
         (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
     let (image, source) = (Image::of_code(&functions), Source::new(".".into()));
     let program = Program::new(&image, table, &source, Sizes::NONE);
-    let entry = Entry { start: FLASH, arguments: [None; 4] };
+    let entry = Entry { start: FLASH, arguments };
     let cycles = Worst::new(&program, clock, None).of(entry);
     (cycles, program.problems())
 }
@@ -72,6 +94,37 @@ fn loops_that_count_are_bounded_by_their_code() {
     assert_eq!(worst(&[NESTED], &none, SLOW), (1 + 3 * (inner + 2) + 2 * 3 + 1, vec![]));
     // Ten words up to an address that is 40 bytes behind an unknown one.
     assert_eq!(worst(&[POINTER], &none, SLOW), (1 + 10 * (3 + 1 + 1) + 9 * 3 + 1, vec![]));
+}
+
+/// Returns the worst case of a function whose loops are declared, with the length 40 as its third argument.
+fn declared(code: &[u16], rounds: Rounds) -> u64 {
+    let at = Spot { function: "first", line: "" };
+    let loops = Box::leak(Box::new([LoopBound { at, rounds, reason: "of a test" }]));
+    let table = Table { loops, ..Table::default() };
+    let (cycles, problems) = worst_of(&[code], [None, None, Some(40), None], &table, SLOW);
+    assert_eq!(problems, [""; 0]);
+    cycles
+}
+
+#[test]
+fn an_unrolled_loop_has_as_many_rounds_fewer() {
+    let copied = Rounds::Copied { argument: 2, per: 4 };
+    assert_eq!(declared(COPIES, copied), declared(COPIES, Rounds::Times(5)), "two words a round");
+    assert_eq!(declared(POLLS, copied), declared(POLLS, Rounds::Times(10)), "no store to count");
+    let length = Rounds::Length { argument: 2, per: 4, more: 0 };
+    assert_eq!(declared(COPIES, length), declared(COPIES, Rounds::Times(10)));
+    assert_eq!(declared(HALVES, Rounds::Mask(32)), declared(HALVES, Rounds::Times(8)));
+    assert_eq!(declared(POLLS, Rounds::Mask(32)), declared(POLLS, Rounds::Times(32)));
+}
+
+#[test]
+fn a_loop_with_two_headers_that_is_one_has_its_rounds_once() {
+    // From the outer header a load of 2 and a wait of 1, the same once more and four instructions, the refill of 3; at the end the
+    // same without it, and the way back.
+    let round = 3 + 3 + 4 + 3;
+    assert_eq!(declared(THREADED, Rounds::Together(20)), 20 * round + (round - 3) + 1);
+    let nested = declared(THREADED, Rounds::Times(20));
+    assert!(nested > 10 * 20 * round, "{nested}: one within the other");
 }
 
 #[test]

@@ -8,7 +8,7 @@
 use core::{error::Error, fmt};
 
 use trueup_core::{
-    cnc::{AxisPosition, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
+    cnc::{AxisPosition, Command, Conditions, Control, Heading, LinearAxis, Rotary, Spindle},
     units::{MicroDegrees, Position, Rpm},
 };
 use trueup_link::{e2e::MAX_DELTA, layout::MICRO_DEGREES_PER_BIT};
@@ -193,6 +193,49 @@ impl fmt::Display for Refused {
 
 impl Error for Refused {}
 
+/// A block, with what it says apart from the blocks before it: what takes time is done once, before it is taken.
+#[derive(Clone, Copy, Debug)]
+pub struct Block {
+    registers: Registers,
+    /// [`Refused::Damaged`] or [`Refused::Malformed`] where it says nothing.
+    said: Result<Cnc, Refused>,
+}
+
+impl Block {
+    /// Returns a block with its CRCs checked and its values decoded.
+    #[must_use]
+    pub fn examine(registers: &Registers) -> Self {
+        let said = if is_sound(registers) {
+            Cnc::decode(registers).ok_or(Refused::Malformed)
+        } else {
+            Err(Refused::Damaged)
+        };
+        Self { registers: *registers, said }
+    }
+
+    /// Returns the registers.
+    #[must_use]
+    pub const fn registers(&self) -> &Registers {
+        &self.registers
+    }
+
+    /// Returns whether its CRCs are right.
+    #[must_use]
+    pub fn is_sound(&self) -> bool {
+        self.said != Err(Refused::Damaged)
+    }
+
+    /// Returns the commands that it holds next to `Control`, at most six, in the order of their registers.
+    pub fn values(&self) -> impl Iterator<Item = Command> + use<> {
+        let said = self.said.unwrap_or_default();
+        let positions = said.positions.into_iter().flatten().map(Command::Position);
+        let rotary = said.rotary.map(Command::Rotary);
+        let spindle = said.spindle.map(Command::Spindle);
+        let conditions = said.conditions.map(Command::Conditions);
+        positions.chain(rotary).chain(spindle).chain(conditions)
+    }
+}
+
 /// Checks the blocks of one master, one after the other.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Checker {
@@ -204,11 +247,20 @@ impl Checker {
     ///
     /// # Errors
     /// The block must not be used. After [`Refused::WrongSequence`] the next in order is taken.
-    pub fn accept(&mut self, block: &Registers) -> Result<Cnc, Refused> {
-        if !is_sound(block) {
+    pub fn accept(&mut self, registers: &Registers) -> Result<Cnc, Refused> {
+        let block = Block::examine(registers);
+        self.admit(&block).copied()
+    }
+
+    /// As [`Self::accept`], of a block that was examined before.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn admit<'b>(&mut self, block: &'b Block) -> Result<&'b Cnc, Refused> {
+        if !block.is_sound() {
             return Err(Refused::Damaged);
         }
-        let counter = get(block, CNC_COUNTER);
+        let counter = get(&block.registers, CNC_COUNTER);
         if let Some(last) = self.last.replace(counter) {
             match counter.wrapping_sub(last) {
                 0 => return Err(Refused::Repeated),
@@ -216,7 +268,7 @@ impl Checker {
                 _ => {}
             }
         }
-        Cnc::decode(block).ok_or(Refused::Malformed)
+        block.said.as_ref().map_err(|refused| *refused)
     }
 }
 

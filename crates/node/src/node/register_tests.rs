@@ -3,12 +3,15 @@
 use std::{vec, vec::Vec};
 use trueup_core::{
     bridge::Input,
-    cnc::{Control, Quality},
-    units::Code,
+    cnc::{
+        AxisPosition, Command, Conditions, Control, Flags, Heading, LinearAxis, Quality, Rotary,
+        Spindle,
+    },
+    units::{Code, MicroDegrees, Position, Rpm},
 };
 use trueup_link::{frames, status::StateBits};
 use trueup_modbus::{
-    cnc::{self, Cnc},
+    cnc::{self, Block, Cnc},
     input,
     rtu::{Slave, Timing},
     server::{Bridge, Busy, Response},
@@ -34,7 +37,7 @@ fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
 fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in said {
-        assert_eq!(node.hear_block(&block(*control, counter)), Ok(()));
+        assert_eq!(node.hear_registers(&block(*control, counter)), Ok(()));
         counter = counter.wrapping_add(1);
         pass(node, 20, 700);
     }
@@ -94,7 +97,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
         (block(Control::default(), counter.wrapping_sub(1)), 3),
         (block(Control::default(), counter.wrapping_add(900)), 4),
     ] {
-        assert_eq!(node.hear_block(&bad), Ok(()), "it is acknowledged");
+        assert_eq!(node.hear_registers(&bad), Ok(()), "it is acknowledged");
         assert_eq!(node.said().last_refused, reason);
         pass(&mut node, 20, 700);
         let moved = [node.last(), &before].map(|it| it.offset.expect("live")[2].0);
@@ -107,7 +110,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
     assert_eq!(node.said().refused, 3);
     // As on CAN, three that are whole and out of order within 2.4 s are two masters.
     assert!(!state(&node).contains(StateBits::SECOND_MASTER));
-    node.hear_block(&block(Control::default(), counter)).expect("acknowledged");
+    node.hear_registers(&block(Control::default(), counter)).expect("acknowledged");
     pass(&mut node, 2, 700);
     assert!(state(&node).contains(StateBits::SECOND_MASTER));
 }
@@ -125,13 +128,70 @@ fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
         for n in 30..40 {
             let mut theirs = block(Control::default(), n);
             theirs[5] ^= damage;
-            assert_eq!(node.hear_block(&theirs), Err(Busy));
+            assert_eq!(node.hear_registers(&theirs), Err(Busy));
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_told { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
         assert_eq!(node.last().quality, Quality::Live);
     }
     assert_eq!(node.said().refused, 0);
+}
+
+/// Returns a block of a control that says all it can, at this place.
+fn whole_block(counter: u16, place: i32) -> cnc::Registers {
+    let at = |axis| {
+        let position = Position(100_000 * place);
+        Some(AxisPosition { axis, position, direction: Heading::Positive })
+    };
+    let said = Cnc {
+        control: Control::ENGAGED,
+        positions: LinearAxis::ALL.map(at),
+        rotary: Some(Rotary { angles: [MicroDegrees(1_000 * place); 2] }),
+        spindle: Some(Spindle { speed: Rpm(12_000), load_n: 7 }),
+        conditions: Some(Conditions { tool: 3, bits: 1 }),
+    };
+    said.encode(counter)
+}
+
+#[test]
+fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
+    let ((mut at_once, mut counter), (mut in_steps, _)) = (engaged(), engaged());
+    for n in 0..40 {
+        let registers = whole_block(counter, n.min(10));
+        assert_eq!(at_once.hear_registers(&registers), Ok(()));
+        pass(&mut at_once, 10, 700);
+        let block = Block::examine(&registers);
+        assert_eq!(in_steps.hear_block(&block), Ok(true));
+        let values: Vec<Command> = block.values().collect();
+        assert_eq!(values.len(), 6, "all are there: {values:?}");
+        for value in values {
+            // A tick of the offset comes in between.
+            pass(&mut in_steps, 1, 700);
+            in_steps.hear_value(value);
+        }
+        pass(&mut in_steps, 4, 700);
+        counter = counter.wrapping_add(1);
+        assert_eq!(in_steps.holding(), registers, "read back as it was written");
+        assert_eq!(in_steps.last().quality, Quality::Live);
+    }
+    assert_eq!(in_steps.said(), at_once.said());
+    assert!(!in_steps.last().flags.contains(Flags::SPEED_UNKNOWN));
+}
+
+#[test]
+fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
+    for (is_lost, is_unknown) in [(false, false), (true, true)] {
+        let (mut node, counter) = engaged();
+        let block = Block::examine(&whole_block(counter, 0));
+        assert_eq!(node.hear_block(&block), Ok(true));
+        if is_lost {
+            pass(&mut node, 600, 700);
+            node.hear(Line::Can, &frames::control(Control::REFERENCED, 0)).expect("in order");
+        }
+        block.values().for_each(|value| node.hear_value(value));
+        pass(&mut node, 2, 700);
+        assert_eq!(node.last().flags.contains(Flags::SPEED_UNKNOWN), is_unknown);
+    }
 }
 
 /// The node, as its slave reaches it.
@@ -147,7 +207,7 @@ impl Bridge for Reached<'_> {
     }
 
     fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.hear_block(block)
+        self.0.hear_registers(block)
     }
 }
 
@@ -182,7 +242,7 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         let step = n / 8 % 2_000;
         pass(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
-            node.hear_block(&block(Control::ENGAGED, counter)).expect("nobody else is there");
+            node.hear_registers(&block(Control::ENGAGED, counter)).expect("nobody else is there");
             counter = counter.wrapping_add(1);
         }
     }

@@ -3,7 +3,7 @@
 
 use trueup_core::cnc::Command;
 use trueup_modbus::{
-    cnc::{self, Checker, Cnc, Refused, is_sound},
+    cnc::{self, Block, Checker, Refused},
     input::Input,
     server::Busy,
 };
@@ -45,45 +45,58 @@ impl Node<'_> {
         self.registers.holding
     }
 
-    /// Takes a holding block from the RS-485 line. One that is refused has no effect; it is counted, and reported
-    /// in the input block.
+    /// Takes a holding block from the RS-485 line, and follows its `Control`. Returns whether its values are to follow, one
+    /// by one, by [`Node::hear_value`]: a tick between two of them comes first, as between two frames on CAN. A block that
+    /// is refused has no effect; it is counted, and reported in the input block.
     ///
     /// # Errors
     /// A CNC on another line is the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn hear_block(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
+    pub fn hear_block(&mut self, block: &Block) -> Result<bool, Busy> {
         if !self.master.admits(Line::Modbus) {
-            if is_sound(block) {
+            if block.is_sound() {
                 self.master.hear_other();
             }
             return Err(Busy);
         }
-        match self.registers.checker.accept(block) {
+        match self.registers.checker.admit(block) {
             Ok(said) => {
-                self.registers.holding = *block;
-                self.hear_plc(&said);
+                self.registers.holding = *block.registers();
+                self.hear_control(Line::Modbus, said.control);
+                Ok(true)
             }
             Err(refused) => {
                 self.registers.last_refused = refused as u16;
                 self.registers.refused = self.registers.refused.saturating_add(1);
                 let is_another = matches!(refused, Refused::Repeated | Refused::WrongSequence);
                 self.master.refuse(is_another);
+                Ok(false)
             }
         }
-        Ok(())
     }
 
-    /// As the frames that a CNC would send it with.
-    fn hear_plc(&mut self, said: &Cnc) {
-        self.hear_control(Line::Modbus, said.control);
-        let Some(bridge) = &self.bridge else { return };
-        let positions = said.positions.into_iter().flatten().map(Command::Position);
-        let rotary = said.rotary.map(Command::Rotary);
-        let spindle = said.spindle.map(Command::Spindle);
-        let conditions = said.conditions.map(Command::Conditions);
-        for command in positions.chain(rotary).chain(spindle).chain(conditions) {
-            bridge.hear(&mut self.state, command);
+    /// Takes one of the values of a block that was taken. It has no effect once another line has the master.
+    // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
+    #[inline(never)]
+    pub fn hear_value(&mut self, value: Command) {
+        if !self.master.admits(Line::Modbus) {
+            return;
         }
+        if let Some(bridge) = &self.bridge {
+            bridge.hear(&mut self.state, value);
+        }
+    }
+
+    /// Takes the registers of a holding block and all of its values, where nothing else uses the node.
+    ///
+    /// # Errors
+    /// As [`Node::hear_block`].
+    pub fn hear_registers(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
+        let block = Block::examine(registers);
+        if self.hear_block(&block)? {
+            block.values().for_each(|value| self.hear_value(value));
+        }
+        Ok(())
     }
 }

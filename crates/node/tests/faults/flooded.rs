@@ -75,7 +75,7 @@ fn arrives(flood: Flood, over: Line, ms: u32) -> u32 {
             }
             Line::Modbus => {
                 let block = std::array::from_fn(|_| random.bits() as u16);
-                rig.node.hear_block(&block).ok();
+                rig.node.hear_registers(&block).ok();
             }
         }
         rig.live();
