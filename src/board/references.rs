@@ -62,11 +62,8 @@ pub fn keep<F: NorFlash>(
     references.set_supply(supply);
     match references.append(standing) {
         Ok(number) => {
-            let what = if standing.is_offered {
-                defmt::intern!("offered")
-            } else {
-                defmt::intern!("stored")
-            };
+            let (offered, stored) = (defmt::intern!("offered"), defmt::intern!("stored"));
+            let what = if standing.is_offered { offered } else { stored };
             say(number, &standing.reference, what);
             true
         }
