@@ -102,6 +102,9 @@ enum Command {
         /// How many.
         #[arg(long, default_value_t = 100)]
         volumes: u32,
+        /// The first seed.
+        #[arg(long, default_value_t = 0)]
+        first: u32,
     },
     /// Lets the simulated bridge live through faults and restarts for a thousand million ticks, 12 days of
     /// a board.
@@ -256,7 +259,7 @@ fn main() -> ExitCode {
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Circles { circles } => campaign::circles(circles),
-        Command::Volumes { volumes } => campaign::volumes(volumes),
+        Command::Volumes { volumes, first } => campaign::volumes(volumes, first),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))

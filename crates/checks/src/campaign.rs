@@ -72,15 +72,17 @@ pub fn circles(count: u32) -> Result<()> {
     process::run(&mut test)
 }
 
-/// Draws this many machines with all errors of a volume, and prints how much of the error is gone at other places.
+/// Draws this many machines with all errors of a volume, from this seed on, and as many without any, and prints how much of the error
+/// is gone at other places, how often intervals hold, and how often an error is claimed that is not there.
 ///
 /// # Errors
 /// It does not build, too little is gone, or intervals do not hold.
-pub fn volumes(count: u32) -> Result<()> {
+pub fn volumes(count: u32, first: u32) -> Result<()> {
     let mut test = cargo::locked("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "volume", "--"])
         .args(["--ignored", "--exact", "campaign::campaign_100_drawn_machines", "--nocapture"])
-        .env("TRUEUP_VOLUMES", count.to_string());
+        .env("TRUEUP_VOLUMES", count.to_string())
+        .env("TRUEUP_VOLUMES_FIRST", first.to_string());
     process::run(&mut test)
 }
 
