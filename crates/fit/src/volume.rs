@@ -18,13 +18,11 @@
 //! | [`frame`], [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
 //! | [`design`] | the equations |
 //! | [`mod@estimate`] | constants, noise and sizes |
-//! | [`average`] | the same where the smoothness is not known |
 //! | [`judge`] | what is known, and readings that were held out |
 //! | [`next`] | the measurement that would settle the rest |
 //! | [`written`] | sections of the machine file |
 //! | `page` | the page with the curves |
 
-pub mod average;
 pub mod constants;
 pub mod design;
 pub mod estimate;
@@ -45,10 +43,9 @@ use trueup_machine::{BadInput, Location, Machine, RunFile, file::write::Edit};
 use trueup_numerics::robust;
 
 use self::{
-    average::estimate,
     constants::Constants,
     design::{Design, normals},
-    estimate::{Posterior, Variances},
+    estimate::{Posterior, Variances, estimate},
     frame::Frame,
     judge::{HeldOut, Known},
     reading::{Kind, Pose, Reading, dot},

@@ -17,12 +17,11 @@
 //! of the family's own τ², for a few numbers a usual size. So an error that the readings hardly see is expected to be like its
 //! relatives, and what they do not show stays small.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use nalgebra::{DMatrix, DVector};
 
 use super::{
     constants::{Constant, Error, Part},
     design::{Design, Normals},
-    modes::Modes,
     setup::Uncertainty,
 };
 
@@ -98,8 +97,6 @@ pub struct Variances {
     pub noise_um: [f64; 4],
     /// Of each column.
     pub of_column: Vec<f64>,
-    /// How smooth the errors are: the variance of a form is in proportion to its roughness to minus this power.
-    pub power: f64,
 }
 
 impl Variances {
@@ -110,16 +107,13 @@ impl Variances {
         uncertainty: &Uncertainty,
         noise_um: [f64; 4],
         size: f64,
-        power: f64,
     ) -> Self {
-        let shares = shares(design, power);
-        let of = |(constant, share): (&Constant, f64)| {
-            (size * Family::of(*constant).usual()).powi(2) * share
+        let of = |constant: &Constant| {
+            (size * Family::of(*constant).usual()).powi(2) * share(design, *constant)
         };
         let of_nuisance = design.nuisances.iter().map(|it| it.expected(uncertainty).powi(2));
-        let of_column =
-            design.constants.all.iter().zip(shares).map(of).chain(of_nuisance).collect();
-        Self { noise_um, of_column, power }
+        let of_column = design.constants.all.iter().map(of).chain(of_nuisance).collect();
+        Self { noise_um, of_column }
     }
 
     /// Returns the same without any error of the machine.
@@ -131,15 +125,13 @@ impl Variances {
     }
 }
 
-/// Returns for each constant its share in the expected mean square of its error.
-fn shares(design: &Design, power: f64) -> Vec<f64> {
-    let of = |modes: &Option<Modes>| modes.as_ref().map_or_else(Vec::new, |it| it.shares(power));
-    let of_axes = design.constants.modes.each_ref().map(of);
-    let share = |constant: &Constant| match (constant.part, constant.error.along()) {
-        (Part::Form(n), Some(along)) => of_axes[along.index()][n],
+fn share(design: &Design, constant: Constant) -> f64 {
+    match (constant.part, constant.error.along()) {
+        (Part::Form(n), Some(along)) => {
+            design.constants.modes[along.index()].as_ref().map_or(1.0, |modes| modes.shares[n])
+        }
         _ => 1.0,
-    };
-    design.constants.all.iter().map(share).collect()
+    }
 }
 
 /// The constants after the readings.
@@ -167,16 +159,12 @@ impl Posterior {
     }
 }
 
-/// The equations with each column in units of its expected standard deviation.
-pub(super) struct System {
-    scale: DVector<f64>,
-    /// Xᵀy/σ², in units of the readings alone.
-    pub products: DVector<f64>,
-    /// What is solved.
-    pub squares: Cholesky<f64, Dyn>,
-}
-
-pub(super) fn system(normals: &Normals, variances: &Variances) -> System {
+/// Returns what the readings say of the columns.
+///
+/// # Panics
+/// The equations are not finite.
+#[must_use]
+pub fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
     let count = variances.of_column.len();
     let scale = DVector::from_iterator(count, variances.of_column.iter().map(|it| it.sqrt()));
     let (mut squares, mut products) = (DMatrix::zeros(count, count), DVector::zeros(count));
@@ -192,19 +180,9 @@ pub(super) fn system(normals: &Normals, variances: &Variances) -> System {
         }
         squares[(column, column)] += 1.0;
     }
-    System { scale, products, squares: squares.cholesky().expect("1 is added to a square") }
-}
-
-/// Returns what the readings say of the columns.
-///
-/// # Panics
-/// The equations are not finite.
-#[must_use]
-pub fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
-    let System { scale, products, squares } = system(normals, variances);
-    let mut covariance = squares.inverse();
-    for column in 0..scale.len() {
-        for row in 0..scale.len() {
+    let mut covariance = squares.cholesky().expect("1 is added to a square").inverse();
+    for column in 0..count {
+        for row in 0..count {
             covariance[(row, column)] *= scale[row] * scale[column];
         }
     }
@@ -212,13 +190,15 @@ pub fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
     Posterior { mean, covariance }
 }
 
-/// Returns the variances that make the readings most likely from these on, and the constants with them.
-pub(super) fn most_likely(
+/// Returns the variances that make the readings most likely, begun at the stated noise, and the constants with them.
+#[must_use]
+pub fn estimate(
     design: &Design,
     normals: &Normals,
-    mut variances: Variances,
+    uncertainty: &Uncertainty,
     noise_um: f64,
 ) -> (Variances, Posterior) {
+    let mut variances = Variances::usual(design, uncertainty, [noise_um; 4], 1.0);
     let mut found = posterior(normals, &variances);
     for _ in 0..MAX_ROUNDS {
         let before = variances.clone();
@@ -243,10 +223,10 @@ fn noise(normals: &Normals, found: &Posterior, stated_um: f64, variances: &mut V
 }
 
 fn sizes(design: &Design, found: &Posterior, variances: &mut Variances) {
-    let shares = shares(design, variances.power);
-    let square =
-        |at: usize| (found.mean[at] * found.mean[at] + found.covariance[(at, at)]) / shares[at];
     let all = &design.constants.all;
+    let square = |at: usize| {
+        (found.mean[at] * found.mean[at] + found.covariance[(at, at)]) / share(design, all[at])
+    };
     let mut groups: Vec<(Family, Option<Error>, Vec<usize>)> = Vec::new();
     for (at, constant) in all.iter().enumerate() {
         let family = Family::of(*constant);
@@ -274,7 +254,7 @@ fn sizes(design: &Design, found: &Posterior, variances: &mut Variances) {
             of_family
         };
         for at in group {
-            variances.of_column[*at] = size * shares[*at];
+            variances.of_column[*at] = size * share(design, all[*at]);
         }
     }
 }

@@ -12,7 +12,6 @@ use super::{
     constants::{Error, Part},
     design::{Design, Normals, normals},
     estimate::{Posterior, Variances, posterior},
-    modes::USUAL_POWER,
     reading::{OnCircle, Pose, Reading},
     setup::Uncertainty,
 };
@@ -104,7 +103,7 @@ pub fn sight(
     uncertainty: &Uncertainty,
     noise_um: [f64; 4],
 ) -> (Variances, Posterior) {
-    let wide = Variances::usual(design, uncertainty, noise_um, WIDE, USUAL_POWER);
+    let wide = Variances::usual(design, uncertainty, noise_um, WIDE);
     let seen = posterior(normals, &wide);
     (wide, seen)
 }

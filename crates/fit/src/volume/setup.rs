@@ -15,7 +15,7 @@ use std::{collections::BTreeMap, sync::LazyLock};
 
 use super::{
     frame::Frame,
-    modes::{Modes, USUAL_POWER},
+    modes::Modes,
     reading::{Kind, OnEdge, Pose, Reading, cross, dot},
 };
 
@@ -74,7 +74,7 @@ impl Nuisance {
             Self::Circle(_, component) if component < 3 => TIP_UM,
             Self::Circle(..) => OF_DIRECTION_UM,
             Self::Edge(_, form) => {
-                EDGE_UM * edge_forms().shares(USUAL_POWER).get(form).map_or(0.0, |it| it.sqrt())
+                EDGE_UM * edge_forms().shares.get(form).map_or(0.0, |it| it.sqrt())
             }
             Self::Point(..) => uncertainty.artefact_um,
         }
