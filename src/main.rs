@@ -30,7 +30,7 @@
 //! 8 bytes and a silence; without its crystal (144 and 16 MHz) a board has no CAN. `cargo xtask bounds` reads this table.
 //!
 //! Measured on the model of the chip, all lines busy and a `Zero` stored (host-tests, `chip` `waits`;
-//! docs/robustness.md): no task waits for half its deadline, on any clock. Interrupts are off for 12 µs at the
+//! docs/robustness.md): no task waits for half its deadline, on 16 MHz for two thirds. Interrupts are off for 12 µs at the
 //! longest, 110 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
 //! 16 MHz, and the serial line where its DMA is dead.
 //!

@@ -1,5 +1,6 @@
 //! How long a task waits at the longest, and how long interrupts are off, on each clock that the board may have to
-//! live with: a factor of two below the deadline (`src/main.rs`), and no offset is lost on the serial line.
+//! live with: below half of the deadline (`src/main.rs`), at 16 MHz below two thirds, and no offset is lost on the serial
+//! line.
 //! `docs/robustness.md` has the figures.
 
 use std::{sync::OnceLock, thread};
@@ -23,6 +24,10 @@ const LINES: [(u32, &str, f64); 7] = [
     (50, "modbus", 6_000.0),
     (70, "transmit", 5_000.0),
 ];
+/// Share of a deadline that a wait may take.
+const SHARE: f64 = 1.0 / 2.0;
+/// The same at 16 MHz, where crystal and PLL are dead: there is no CAN, and the board reports that it is degraded.
+const SLOW_SHARE: f64 = 2.0 / 3.0;
 /// At 19 200 Bd the bytes in the queue of `modbus` last six times as long.
 const SLOW_MODBUS_US: f64 = 36_000.0;
 /// Interrupts that software starts, the task of each, and its deadline in µs: how long it is pending.
@@ -68,7 +73,7 @@ fn is_bounded(clock: &str, report: &Report) {
 }
 
 #[test]
-fn no_task_waits_for_half_its_deadline_on_any_clock() {
+fn no_task_waits_for_half_its_deadline_nor_at_16_mhz_for_two_thirds() {
     let lived = |of: Clock, later_ms: u32| {
         let (clock, .., byte_us) = of;
         let Some((model, image)) = parts() else { return };
@@ -106,7 +111,8 @@ fn no_task_waits_for_half_its_deadline_on_any_clock() {
             text += &format!(", {task} {wait}");
             let is_slow = clock == "16 MHz" && task == "modbus";
             let deadline = if is_slow { SLOW_MODBUS_US } else { deadline };
-            assert!(wait.parse::<f64>().expect("a number") < deadline / 2.0, "{text}");
+            let share = if clock == "16 MHz" { SLOW_SHARE } else { SHARE };
+            assert!(wait.parse::<f64>().expect("a number") < deadline * share, "{text}");
         }
         is_bounded(clock, &report);
         let (count, lost) = offsets(&report);

@@ -199,12 +199,13 @@ fn pack(platform: &Platform, root: &Path, folder: &Path) -> Result<()> {
     // This computer's own is built once, for the archive and for the package.
     let is_own = is_own(target);
     let mut built = root.join("target");
+    // A linker that is named, even the usual one, would make it another build than the package's.
     if !is_own {
         build.args(["--target", target]);
         built.push(target);
+        let variable = target.to_uppercase().replace('-', "_");
+        build.env(format!("CARGO_TARGET_{variable}_LINKER"), linker);
     }
-    let variable = target.to_uppercase().replace('-', "_");
-    build.env(format!("CARGO_TARGET_{variable}_LINKER"), linker);
     process::run(&mut build)?;
     let name = format!("trueup-{}-{target}", env!("CARGO_PKG_VERSION"));
     let content = folder.join(&name);
