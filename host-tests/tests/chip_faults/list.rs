@@ -191,9 +191,10 @@ fn registers() -> Run {
 }
 
 fn image_changes() -> Run {
-    run("image", "400 poke 08008000 10\n", 1_900).case(
+    // A vector that nothing uses, so that no code is another one. Its turn, once in 1.4 s, was just over: the next one finds it.
+    run("image", "400 poke 0800013c 10\n", 3_300).case(
         "a bit of the flash flips",
-        Case::new("the image changes", 400, 1_400)
+        Case::new("the image changes", 400, 2_800)
             .quality(Quality::Fault)
             .state(StateBits::SELF_TEST)
             .emergency(Fault::SelfTest),
