@@ -14,7 +14,7 @@ use stm32f4xx_hal::{
 
 /// Where the image begins (`build.rs`).
 const START: u32 = include!(concat!(env!("OUT_DIR"), "/start.in"));
-/// Words a turn: 1 KB every 10 ms, so that an image of 112 KB has its turn every 1.1 s.
+/// Words a turn: 1 KB every 10 ms, so that an image of 138 KB has its turn every 1.4 s.
 const PIECE: u32 = 256;
 /// The unit's polynomial; it begins with ones and takes the highest bit first.
 const POLYNOMIAL: u32 = 0x04C1_1DB7;
