@@ -289,6 +289,24 @@ mod tests {
     }
 
     #[test]
+    fn code_of_an_older_image_where_the_records_are_to_be_says_nothing_and_gives_way() {
+        // A probe leaves the sectors alone that an image has nothing in.
+        let mut random = 1_u32;
+        let mut flash = Flash::erased();
+        for byte in &mut flash.bytes {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *byte = (random >> 24) as u8;
+        }
+        let mut journal = Journal::open(flash);
+        assert_eq!(journal.state(), State::default());
+        journal.settle().unwrap();
+        journal = reopened(journal);
+        assert_eq!((journal.state(), journal.is_settled()), (State::default(), true));
+        journal.commit(state(1)).unwrap();
+        assert_eq!(reopened(journal).state(), state(1));
+    }
+
+    #[test]
     fn a_dead_flash_takes_nothing_and_says_so() {
         let mut journal = Journal::open(Flash { dead: true, ..Flash::erased() });
         assert_eq!(journal.commit(state(1)), Err(NotStored));
