@@ -298,7 +298,7 @@ mod tests {
             *byte = (random >> 24) as u8;
         }
         let mut journal = Journal::open(flash);
-        assert_eq!(journal.state(), State::default());
+        assert_eq!((journal.state(), journal.is_settled()), (State::default(), false));
         journal.settle().unwrap();
         journal = reopened(journal);
         assert_eq!((journal.state(), journal.is_settled()), (State::default(), true));
