@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 
 use trueup_emulator::{
-    call_graph::{CallGraph, Depth, Recursion},
+    call_graph::{CallGraph, Depth},
     firmware, setup,
 };
 
@@ -27,8 +27,6 @@ const PRIORITIES: [&[&str]; 6] = [
 const APART: [&str; 2] = ["core3fmt5write", "rust_begin_unwind"];
 /// How deep texts stand within texts: an error, what it is made of, its number.
 const TEXTS: u64 = 3;
-/// Functions that call themselves: none.
-const RECURSIONS: &[Recursion] = &[];
 const INIT: &str = "__rtic_init_resources";
 
 /// Returns what calls through a pointer that is not in it: a formatter its output, an output its bytes, both counted
@@ -44,8 +42,7 @@ fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
     let mut blind = BTreeSet::new();
     let mut of = |name: &str, without: &[&str]| {
         let without: Vec<&str> = APART.iter().chain(without).copied().collect();
-        let Depth { bytes, chain, blind: more } =
-            graph.deepest(name, &without, RECURSIONS).unwrap();
+        let Depth { bytes, chain, blind: more } = graph.deepest(name, &without).unwrap();
         println!("{bytes:6} {name}, {} calls deep", chain.len());
         blind.extend(more);
         bytes
@@ -58,8 +55,7 @@ fn the_deepest_stack_takes_at_most_half_of_what_there_is() {
         .iter()
         .sum();
     let traps = 2 * EXCEPTION + of("NonMaskableInt", &[]) + of("HardFault", &[]);
-    let deepest_of =
-        |parts: &[&str], without: &[&str]| graph.deepest_of(parts, without, RECURSIONS);
+    let deepest_of = |parts: &[&str], without: &[&str]| graph.deepest_of(parts, without);
     let text = deepest_of(&["core3fmt"], &APART).unwrap().bytes
         + deepest_of(&["9write_str", "10write_char"], &APART).unwrap().bytes
         + deepest_of(&["core3fmt5write"], &["rust_begin_unwind"]).unwrap().bytes;

@@ -152,45 +152,28 @@ pub struct Depth {
     pub blind: BTreeSet<String>,
 }
 
-/// A function that calls itself, and how deep.
-#[derive(Clone, Copy, Debug)]
-pub struct Recursion {
-    /// Part of its linker name.
-    pub function: &'static str,
-    /// How often it stands on the stack at the most, its first call included.
-    pub depth: u64,
-    /// The reason why it is no deeper.
-    pub reason: &'static str,
-}
-
 impl CallGraph {
     /// Returns the deepest stack of the function of this name. Those with a part of `without` in their name are left
-    /// out below it, and all that they call. A function that calls itself has to be one of `recursions`.
+    /// out below it, and all that they call.
     ///
     /// # Errors
-    /// There is no such function, a call leads to none, a function calls itself and no depth is declared, functions call
-    /// each other in a circle, or one takes as much as a register says.
-    pub fn deepest(&self, name: &str, without: &[&str], recursions: &[Recursion]) -> Result<Depth> {
+    /// There is no such function, a call leads to none, a function calls itself, functions call each other in a circle, or
+    /// one takes as much as a register says.
+    pub fn deepest(&self, name: &str, without: &[&str]) -> Result<Depth> {
         let start = self.functions.iter().find(|(_, function)| function.name == name);
         let (start, _) = start.with_context(|| format!("no function is called {name}"))?;
-        self.walk(*start, (without, recursions), &mut BTreeMap::new(), &mut Vec::new())
+        self.walk(*start, without, &mut BTreeMap::new(), &mut Vec::new())
     }
 
     /// Returns the deepest stack of all functions with one of these parts in their name, as [`Self::deepest`].
     ///
     /// # Errors
     /// As there.
-    pub fn deepest_of(
-        &self,
-        parts: &[&str],
-        without: &[&str],
-        recursions: &[Recursion],
-    ) -> Result<Depth> {
+    pub fn deepest_of(&self, parts: &[&str], without: &[&str]) -> Result<Depth> {
         let (mut known, mut all) = (BTreeMap::new(), Depth::default());
         for (start, function) in &self.functions {
             if parts.iter().any(|part| function.name.contains(part)) {
-                let depth =
-                    self.walk(*start, (without, recursions), &mut known, &mut Vec::new())?;
+                let depth = self.walk(*start, without, &mut known, &mut Vec::new())?;
                 if depth.bytes > all.bytes {
                     all = depth;
                 }
@@ -202,7 +185,7 @@ impl CallGraph {
     fn walk(
         &self,
         start: u64,
-        (without, recursions): (&[&str], &[Recursion]),
+        without: &[&str],
         known: &mut BTreeMap<u64, Depth>,
         above: &mut Vec<u64>,
     ) -> Result<Depth> {
@@ -218,7 +201,6 @@ impl CallGraph {
         if branches.by_register && held.is_empty() {
             depth.blind.insert(name.clone());
         }
-        let mut times = 1;
         above.push(start);
         for target in branches.targets.iter().chain(&held) {
             let (called, function) = self
@@ -229,28 +211,24 @@ impl CallGraph {
                 .with_context(|| format!("{name} branches to no function"))?;
             if *called == start {
                 // A branch within it takes no stack, a call does.
-                if branches.calls.contains(target) || held.contains(target) {
-                    let declared = recursions.iter().find(|it| name.contains(it.function));
-                    times = declared.with_context(|| {
-                        format!(
-                            "{name} calls itself, and nothing says how deep: write it without, or declare a depth with \
-                             its reason"
-                        )
-                    })?.depth;
-                }
+                let is_call = branches.calls.contains(target) || held.contains(target);
+                ensure!(
+                    !is_call,
+                    "{name} calls itself, and nothing says how deep: write it without"
+                );
                 continue;
             }
             if without.iter().any(|part| function.name.contains(part)) {
                 continue;
             }
-            let below = self.walk(*called, (without, recursions), known, above)?;
+            let below = self.walk(*called, without, known, above)?;
             depth.blind.extend(below.blind);
             if below.bytes > depth.bytes {
                 (depth.bytes, depth.chain) = (below.bytes, below.chain);
             }
         }
         above.pop();
-        depth.bytes += times * frame.bytes;
+        depth.bytes += frame.bytes;
         depth.chain.insert(0, name.clone());
         known.insert(start, depth.clone());
         Ok(depth)
@@ -387,28 +365,22 @@ mod tests {
     }
 
     #[test]
-    fn a_function_that_calls_itself_needs_a_declared_depth() {
-        // push {r4, lr}; bl .-2; bl to 0x1100; pop {r4, pc}, and below it push {r4, r5, r6, lr}; pop {r4, r5, r6, pc}.
-        let recursive = graph(&[
-            ("itself", &[0xB510, 0xF7FF, 0xFFFD, 0xF000, 0xF87B, 0xBD10]),
-            ("below", &[0xB570, 0xBD70]),
-        ]);
-        let error = recursive.deepest("itself", &[], &[]).unwrap_err().to_string();
+    fn a_function_that_calls_itself_has_no_bound() {
+        // push {r4, lr}; bl .-2; pop {r4, pc}.
+        let recursive = graph(&[("itself", &[0xB510, 0xF7FF, 0xFFFD, 0xBD10])]);
+        let error = recursive.deepest("itself", &[]).unwrap_err().to_string();
         assert!(error.starts_with("itself calls itself, and nothing says how deep"), "{error}");
-        let declared = [Recursion { function: "itself", depth: 3, reason: "of a test" }];
-        let depth = recursive.deepest("itself", &[], &declared).unwrap();
-        assert_eq!((depth.bytes, depth.chain.len()), (3 * 8 + 16, 2));
         // A loop back to the first instruction, and one to the second, are no calls: push {r4, lr}; b .-4.
         for back in [0xE7FD, 0xE7FE] {
             let looped = graph(&[("looped", &[0xB510, back, 0xBD10])]);
-            assert_eq!(looped.deepest("looped", &[], &[]).unwrap().bytes, 8);
+            assert_eq!(looped.deepest("looped", &[]).unwrap().bytes, 8);
         }
-        // Through a third one it is a circle, whatever is declared.
+        // Through a second one it is a circle.
         let circle = graph(&[
             ("first", &[0xB510, 0xF000, 0xF87D, 0xBD10]),
             ("second", &[0xB510, 0xF7FF, 0xFF7D, 0xBD10]),
         ]);
-        let error = circle.deepest("first", &[], &declared).unwrap_err().to_string();
+        let error = circle.deepest("first", &[]).unwrap_err().to_string();
         assert_eq!(error, "first calls itself, in a circle");
     }
 
