@@ -1,21 +1,33 @@
 //! The errors of the volume against homogeneous transforms in Python, which share nothing with the model.
 //!
-//! Machines of every chain and kind are drawn, with all nine angles, errors of both rotary axes, points and
-//! tools. The transforms are not linear, the model is: errors are small enough that their products do not show.
+//! Machines of every chain and kind are drawn, with all 21 errors of three axes (pitch tables, straightness, squareness, nine
+//! angles), errors of both rotary axes, points and tools. The transforms are not linear, the model is: errors are small enough that their products do not show.
 
 use std::{
     fmt::Write as _,
-    io::Write as _,
+    io::{BufRead as _, BufReader, Write as _},
     path::Path,
-    process::{Command, Stdio},
+    process::{Child, ChildStdout, Command, Stdio},
 };
 
 use anyhow::{Context as _, Result, ensure};
 use rand::Rng as _;
 use rand_chacha::{ChaCha8Rng, rand_core::SeedableRng as _};
 use serde_json::{Map, Value, json};
+use trueup_core::{
+    calibration::Calibration,
+    heat::Heat,
+    place::Place,
+    tip::UNLIMITED,
+    units::{MicroDegrees, Position},
+};
 use trueup_emulator::setup;
-use trueup_machine::{Machine, MachineFile, file::Angle, model::volume_um};
+use trueup_machine::{
+    Machine, MachineFile,
+    compile::compile,
+    file::Angle,
+    model::{ReferenceModel, Situation, volume_um},
+};
 use trueup_twin::{
     bodies::{Body, Drive, error_um},
     cubic_spline::CubicSpline,
@@ -34,24 +46,82 @@ const KINDS: [(&str, &[&str], &[&str]); 9] = [
     ("head-head", &[], &["C", "B"]),
 ];
 
+/// Each kind with none to three linear axes under the workpiece, three times.
+const MACHINES: usize = KINDS.len() * 4 * 3;
 const POSES: usize = 20;
+/// The target: the board against the transforms, in nm.
+const MAX_OF_BOARD_NM: f64 = 20.0;
 
-/// Returns the errors by `host-tests/python/volume.py`.
-fn transforms(asked: &[Value]) -> Result<Vec<Vec<[f64; 3]>>> {
-    let mut python = Command::new(setup::python()?)
-        .arg(setup::root().join("host-tests/python/volume.py"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()?;
-    // It reads all before it writes.
-    python.stdin.take().context("piped")?.write_all(json!(asked).to_string().as_bytes())?;
-    let output = python.wait_with_output()?;
-    ensure!(output.status.success(), "volume.py failed");
-    Ok(serde_json::from_slice(&output.stdout)?)
+/// `host-tests/python/volume.py`: a machine and its poses in, the errors at them out.
+struct Transforms {
+    python: Child,
+    answers: BufReader<ChildStdout>,
+}
+
+impl Transforms {
+    fn new() -> Result<Self> {
+        let mut python = Command::new(setup::python()?)
+            .arg(setup::root().join("host-tests/python/volume.py"))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()?;
+        let answers = BufReader::new(python.stdout.take().context("piped")?);
+        Ok(Self { python, answers })
+    }
+
+    /// Returns the errors of a machine at its poses, in µm.
+    fn errors_um(&mut self, asked: &Value) -> Result<Vec<[f64; 3]>> {
+        // It reads the whole line before it answers.
+        writeln!(self.python.stdin.as_mut().context("piped")?, "{asked}")?;
+        let mut line = String::new();
+        self.answers.read_line(&mut line)?;
+        ensure!(!line.is_empty(), "volume.py failed");
+        Ok(serde_json::from_str(&line)?)
+    }
+}
+
+impl Drop for Transforms {
+    fn drop(&mut self) {
+        // The end of its input ends it.
+        drop(self.python.stdin.take());
+        self.python.wait().ok();
+    }
 }
 
 fn vector(random: &mut ChaCha8Rng, most: f64) -> [f64; 3] {
     std::array::from_fn(|_| random.random_range(-most..most))
+}
+
+/// The clamped knots of a drawn curve, in mm; it has as many control points as [`curve`] draws.
+const KNOTS_MM: [f64; 9] = [-500.0, -500.0, -500.0, -500.0, 50.0, 500.0, 500.0, 500.0, 500.0];
+
+fn curve(random: &mut ChaCha8Rng, most: f64) -> [f64; 5] {
+    std::array::from_fn(|_| random.random_range(-most..most))
+}
+
+/// Draws pitch, straightness and squareness of all axes: into the file's `text`, and as the transforms want them.
+fn shifts(random: &mut ChaCha8Rng, text: &mut String) -> Map<String, Value> {
+    const AXES: [&str; 3] = ["x", "y", "z"];
+    let mut shifts = Map::new();
+    for axis in AXES {
+        let (start_mm, step_mm, table) = (-400.0, 160.0, curve(random, 15.0).as_slice().to_vec());
+        writeln!(
+            text,
+            "axis.{axis}.pitch = {{ start_mm = {start_mm:?}, step_mm = {step_mm:?}, forward_um = {table:?} }}"
+        )
+        .expect("a string");
+        let law = json!([{"start": start_mm, "step": step_mm, "values": table}]);
+        shifts.insert(format!("e{axis}{axis}"), law);
+        for across in AXES.into_iter().filter(|it| *it != axis) {
+            let (control, um_per_m) = (curve(random, 15.0), random.random_range(-20.0..20.0));
+            let spline = format!("order = 4, knots_mm = {KNOTS_MM:?}, control_um = {control:?}");
+            writeln!(text, "straightness.{across}_of_{axis} = {{ {spline} }}").expect("a string");
+            writeln!(text, "squareness.{across}_of_{axis}_um_per_m = {um_per_m:?}")
+                .expect("a string");
+            shifts.insert(format!("e{across}{axis}"), json!([[4, KNOTS_MM, control], um_per_m]));
+        }
+    }
+    shifts
 }
 
 /// Returns a machine as its file, and as the transforms want it.
@@ -89,15 +159,16 @@ fn drawn(random: &mut ChaCha8Rng, number: usize) -> (Machine, Value) {
                 writeln!(text, "angular.{name}.urad_per_m = {urad_per_m:?}").expect("a string");
                 json!(urad_per_m)
             } else {
-                let control: [f64; 5] = std::array::from_fn(|_| random.random_range(-15.0..15.0));
-                let knots = [-500.0, -500.0, -500.0, -500.0, 50.0, 500.0, 500.0, 500.0, 500.0];
-                let spline = format!("order = 4, knots_mm = {knots:?}, control_urad = {control:?}");
+                let control = curve(random, 15.0);
+                let spline =
+                    format!("order = 4, knots_mm = {KNOTS_MM:?}, control_urad = {control:?}");
                 writeln!(text, "angular.{name} = {{ {spline} }}").expect("a string");
-                json!([4, knots, control])
+                json!([4, KNOTS_MM, control])
             };
             angles.insert(name, angle);
         }
     }
+    let shifts = shifts(random, &mut text);
     for axis in table.iter().chain(head) {
         let own = ["A", "B", "C"].iter().position(|it| it == axis).expect("one of them");
         let axis = axis.to_lowercase();
@@ -127,23 +198,35 @@ fn drawn(random: &mut ChaCha8Rng, number: usize) -> (Machine, Value) {
     let machine = MachineFile::parse(&text, Path::new("m.toml"));
     let machine = machine.unwrap_or_else(|error| panic!("{error}\n{text}"));
     let asked = json!({
-        "chain": chain, "angles": angles, "points": points, "rotary": rotary,
+        "chain": chain, "angles": angles, "shifts": shifts, "points": points, "rotary": rotary,
         "tool": [x, y, z - length_mm], "poses": poses,
     });
     (machine, asked)
 }
 
+/// Returns the errors by the model at a pose in mm and degrees, in µm.
+fn of_model_um(machine: &Machine, [x, y, z, a, b, c]: [f64; 6]) -> [f64; 3] {
+    let situation = Situation {
+        position_mm: [x, y, z],
+        angle_deg: [a, b, c],
+        direction: [1.0; 3],
+        ..Situation::UNKNOWN
+    };
+    ReferenceModel::new(machine).step(&situation).error_um()
+}
+
 #[test]
 fn the_volume_errs_as_homogeneous_transforms_say() -> Result<()> {
     let mut random = ChaCha8Rng::seed_from_u64(46);
-    let (machines, asked): (Vec<Machine>, Vec<Value>) =
-        (0..KINDS.len() * 4 * 3).map(|number| drawn(&mut random, number)).unzip();
-    let theirs = transforms(&asked)?;
+    let mut transforms = Transforms::new()?;
     let (mut worst, mut largest): (f64, f64) = (0.0, 0.0);
-    for ((machine, asked), theirs) in machines.iter().zip(&asked).zip(theirs) {
+    for number in 0..MACHINES {
+        let (machine, asked) = drawn(&mut random, number);
         let poses: Vec<[f64; 6]> = serde_json::from_value(asked["poses"].clone())?;
-        for ([x, y, z, a, b, c], theirs) in poses.into_iter().zip(theirs) {
-            let ours = volume_um(machine, [x, y, z], [a, b, c]);
+        let theirs = transforms.errors_um(&asked)?;
+        ensure!(theirs.len() == poses.len(), "{} answers", theirs.len());
+        for (pose, theirs) in poses.into_iter().zip(theirs) {
+            let ours = of_model_um(&machine, pose);
             for (ours, theirs) in ours.into_iter().zip(theirs) {
                 largest = largest.max(theirs.abs());
                 worst = worst.max((ours - theirs).abs());
@@ -153,6 +236,71 @@ fn the_volume_errs_as_homogeneous_transforms_say() -> Result<()> {
     }
     println!("errors up to {largest:.1} µm, worst difference {worst:.5} µm");
     assert!(largest > 20.0);
+    Ok(())
+}
+
+/// Returns the errors of a board with this calibration at a pose in its own units, in nm.
+fn of_board_nm(calibration: &Calibration<'_>, place: &Place) -> [f64; 3] {
+    let sums = calibration.errors(&Heat::default(), place).sums(UNLIMITED).sums;
+    sums.map(|it| f64::from(it.0) / 256.0)
+}
+
+#[test]
+#[ignore = "campaign: cargo xtask volume-board"]
+fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> {
+    let wanted = std::env::var("TRUEUP_POSES").ok().and_then(|it| it.parse().ok());
+    let each = wanted.unwrap_or(1_000_000_usize).div_ceil(MACHINES);
+    let mut random = ChaCha8Rng::seed_from_u64(48);
+    let mut transforms = Transforms::new()?;
+    let (mut worst_nm, mut of_model_nm, mut largest_nm): (f64, f64, f64) = (0.0, 0.0, 0.0);
+    let mut squares = 0.0;
+    for number in 0..MACHINES {
+        let (machine, mut asked) = drawn(&mut random, number);
+        let compiled = compile(&machine)?;
+        let calibration = compiled.calibration();
+        let turning = machine.angle_axes();
+        let mut places = Vec::new();
+        let mut poses = Vec::new();
+        for _ in 0..each {
+            // A pose that the board can be sent: its own units.
+            let mut place = Place::default();
+            let mut pose = [0.0; 6];
+            for (units, mm) in place.position.iter_mut().zip(&mut pose) {
+                let per_mm = f64::from(Position::PER_MILLIMETRE);
+                *units = Position((random.random_range(-500.0..500.0) * per_mm) as i32);
+                *mm = f64::from(units.0) / per_mm;
+            }
+            for (angle, axis) in place.angles.iter_mut().zip(&turning) {
+                *angle = MicroDegrees(random.random_range(-180_000_000..180_000_000));
+                pose[3 + axis.index()] = f64::from(angle.0) / 1e6;
+            }
+            places.push(place);
+            poses.push(pose);
+        }
+        asked["poses"] = json!(poses);
+        let theirs = transforms.errors_um(&asked)?;
+        ensure!(theirs.len() == each, "{} answers", theirs.len());
+        for ((place, pose), theirs) in places.iter().zip(poses).zip(theirs) {
+            let board = of_board_nm(&calibration, place);
+            let model = of_model_um(&machine, pose);
+            for ((board, model), theirs) in board.into_iter().zip(model).zip(theirs) {
+                let theirs = theirs * 1_000.0;
+                largest_nm = largest_nm.max(theirs.abs());
+                of_model_nm = of_model_nm.max((model * 1_000.0 - theirs).abs());
+                worst_nm = worst_nm.max((board - theirs).abs());
+                squares += (board - theirs).powi(2);
+            }
+        }
+    }
+    let count = each * MACHINES;
+    println!(
+        "{count} poses of {MACHINES} machines, errors up to {:.1} µm; board against transforms: worst {worst_nm:.2} nm, RMS \
+         {:.3} nm; model against transforms: worst {of_model_nm:.2} nm",
+        largest_nm / 1_000.0,
+        (squares / (3 * count) as f64).sqrt()
+    );
+    assert!(largest_nm > 20_000.0);
+    assert!(worst_nm <= MAX_OF_BOARD_NM, "{worst_nm} nm");
     Ok(())
 }
 

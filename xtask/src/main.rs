@@ -106,6 +106,12 @@ enum Command {
         #[arg(long, default_value_t = 0)]
         first: u32,
     },
+    /// Compares the board's errors of the volume with homogeneous transforms in Python.
+    VolumeBoard {
+        /// At how many poses.
+        #[arg(long, default_value_t = 1_000_000)]
+        poses: u32,
+    },
     /// Lets the simulated bridge live through faults and restarts for a thousand million ticks, 12 days of
     /// a board.
     Soak {
@@ -260,6 +266,7 @@ fn main() -> ExitCode {
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Circles { circles } => campaign::circles(circles),
         Command::Volumes { volumes, first } => campaign::volumes(volumes, first),
+        Command::VolumeBoard { poses } => campaign::volume_board(poses),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))

@@ -86,6 +86,21 @@ pub fn volumes(count: u32, first: u32) -> Result<()> {
     process::run(&mut test)
 }
 
+/// Compares the board's arithmetic with homogeneous transforms in Python at this many poses of drawn machines, and prints the worst
+/// difference.
+///
+/// # Errors
+/// It does not build, Python is missing, or a difference is above 20 nm.
+pub fn volume_board(poses: u32) -> Result<()> {
+    let mut test = cargo::locked("test");
+    test.args(["--features", "trueup-host-tests/emulator", "--test", "volume_oracle", "--"])
+        .args(["--ignored", "--exact"])
+        .arg("campaign_the_board_is_within_20_nm_of_homogeneous_transforms")
+        .arg("--nocapture")
+        .env("TRUEUP_POSES", poses.to_string());
+    process::run(&mut test)
+}
+
 /// Lets events drawn by this seed happen to the real LinuxCNC with offsets that act, by each of these ways of entering
 /// (`joint`, `eoffset`, `no-board`, with commas), until these numbers of servo cycles and events are reached; every cycle is judged.
 /// Prints a table.
