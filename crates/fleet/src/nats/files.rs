@@ -87,8 +87,9 @@ impl Remote {
         Ok(is_first)
     }
 
-    fn fetch_result(&self, store: &Store, id: &str) -> io::Result<()> {
-        let Some(text) = self.text(&self.results, id)? else { return Ok(()) };
+    /// Fetches the result of a job into a folder. Returns whether there is one.
+    pub(super) fn fetch_result(&self, store: &Store, id: &str) -> io::Result<bool> {
+        let Some(text) = self.text(&self.results, id)? else { return Ok(false) };
         let of: Attempt =
             serde_json::from_str(&text).map_err(|error| damaged(&error.to_string()))?;
         let staged = store.staging(&format!("result-{id}-"))?;
@@ -100,7 +101,7 @@ impl Remote {
         }
         let text = serde_json::to_string_pretty(&of.result)? + "\n";
         fs::write(staged.path().join("result.json"), text)?;
-        store.publish(staged, &store.result(id)).map(|_| ())
+        store.publish(staged, &store.result(id)).map(|_| true)
     }
 
     /// Marks a folder as the copy of this fleet, by the moment at which its queue was made.
@@ -135,10 +136,10 @@ impl Remote {
             }
             let fetched = self.fetch_job(store, &id).and_then(|()| self.fetch_result(store, &id));
             match fetched {
-                Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                    damaged.push(format!("results/{id}: {error}"));
-                }
-                other => other?,
+                Err(error) if error.kind() == io::ErrorKind::InvalidData => damaged.push(format!(
+                    "results/{id}: {error}; submit the job again, and a worker does it again"
+                )),
+                other => drop(other?),
             }
         }
         Ok(damaged)

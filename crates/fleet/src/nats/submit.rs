@@ -9,8 +9,8 @@ use crate::{
 };
 
 impl Remote {
-    /// Puts a job on the server. A job that failed before is tried again. Once this has returned, the job is on the
-    /// server's disk.
+    /// Puts a job on the server. A job that failed before, or whose result is damaged on the server, is tried again. Once
+    /// this has returned, the job is on the server's disk.
     ///
     /// # Errors
     /// The server does not answer, or has another job under this identifier.
@@ -35,9 +35,16 @@ impl Remote {
             self.send_job(&store, &id, &job)?;
             self.wait(&id, self.failed.purge(&id))?;
         }
-        if self.text(&self.results, &id)?.is_none() {
-            self.queue(&id)?;
+        match self.fetch_result(&store, &id) {
+            Ok(true) => return Ok(Submitted { id, is_new, other_date }),
+            Ok(false) => {}
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+                self.send_job(&store, &id, &job)?;
+                self.wait(&id, self.results.purge(&id))?;
+            }
+            Err(error) => return Err(error),
         }
+        self.queue(&id)?;
         Ok(Submitted { id, is_new, other_date })
     }
 
