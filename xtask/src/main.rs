@@ -192,6 +192,8 @@ enum LinuxCncCommand {
         #[arg(long, default_value = "joint,eoffset,no-board")]
         ways: String,
     },
+    /// Cuts the same circle without the bridge and with it, from what a ball bar says of the first: three minutes.
+    Circle,
 }
 
 #[derive(Args)]
@@ -392,6 +394,7 @@ fn run_linuxcnc(LinuxCnc { on, command }: LinuxCnc) -> Result<()> {
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
             campaign::abuse(cycles, events, seed.unwrap_or_else(any_seed), &ways)
         }
+        Some(LinuxCncCommand::Circle) => campaign::linuxcnc_circle(),
     }
 }
 

@@ -118,6 +118,19 @@ pub fn abuse(cycles: u64, events: u64, seed: u64, ways: &str) -> Result<()> {
     process::run(&mut test)
 }
 
+/// Lets the real LinuxCNC cut a circle on a virtual machine, fits it, lets it cut the same circle with the bridge in its servo thread,
+/// and prints the figures of ISO 230-4 and the backlash of both.
+///
+/// # Errors
+/// It does not build, or the circle is not 80 % rounder, or 95 % of the backlash is not gone.
+pub fn linuxcnc_circle() -> Result<()> {
+    let mut test = cargo::locked("test");
+    test.args(["--features", "trueup-host-tests/emulator", "--test", "linuxcnc_joint", "--"])
+        .args(["--ignored", "--exact"])
+        .args(["circle::campaign_the_same_circle_is_rounder_with_the_bridge", "--nocapture"]);
+    process::run(&mut test)
+}
+
 /// Lets each of the fuzz targets run for this many minutes, one on each core at a time; prints how many inputs
 /// each has had.
 ///

@@ -5,6 +5,7 @@
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 
 mod abuse;
+mod circle;
 mod events;
 mod fake_bridge;
 mod no_board;

@@ -72,7 +72,7 @@ pub(crate) fn error_um(x_mm: f64) -> f64 {
 }
 
 /// Builds and installs the component.
-fn install(folder: &Path) -> Result<()> {
+pub(crate) fn install(folder: &Path) -> Result<()> {
     setup::linuxcnc_dev()?;
     let (library, out) = (programs::servo_library()?, folder.join("trueup_node"));
     let (library, out) = (library.to_string_lossy(), out.to_string_lossy());
@@ -114,7 +114,7 @@ pub(crate) fn start(control: LinuxCnc, by: &str, period_us: u32) -> Result<Headl
 }
 
 /// Waits until offsets are live and act.
-fn is_live(cnc: &mut Headless) -> Result<()> {
+pub(crate) fn is_live(cnc: &mut Headless) -> Result<()> {
     cnc.switch_on()?;
     let names = ["trueup.0.quality", "trueup.0.applied", "trueup.0.fault"];
     cnc.wait("the offsets are live", 20, &names, |seen| seen == [1.0, 1.0, 0.0])
