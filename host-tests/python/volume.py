@@ -8,6 +8,7 @@ Reads JSON on standard input, a machine in each line:
   rotary  {"c": {"point": mm, "shift": µm, "tilt": µrad}}
   tool    from the nose to the tip in mm
   poses   [x, y, z in mm, a, b, c in degrees], any number of them
+  offsets [x, y, z in µm], which the axes of each pose get on top; none are needed
 A law over the position of the axis in mm is a slope for each metre, a B-spline [order, knots, control points], or a table
 {"start": mm, "step": mm, "values": [...]}, linear between its points.
 Writes for each line a line: the error of the tip on the workpiece at each pose, along the machine's X, Y and Z, in µm.
@@ -102,10 +103,12 @@ def errors(machine):
     workpiece, tool = text[1:-1].split("b")
     tip = np.array([*machine["tool"], 1.0])
     poses = np.array(machine["poses"])
+    corrected = poses.copy()
+    corrected[:, :3] += np.array(machine.get("offsets", 0.0)) * 1e-3
     seen = []
-    for has_errors in (True, False):
-        of_tool = branch(machine, tool, poses, False, has_errors) @ tip
-        of_workpiece = branch(machine, workpiece[::-1], poses, True, has_errors)
+    for has_errors, driven in ((True, corrected), (False, poses)):
+        of_tool = branch(machine, tool, driven, False, has_errors) @ tip
+        of_workpiece = branch(machine, workpiece[::-1], driven, True, has_errors)
         seen.append(np.linalg.solve(of_workpiece, of_tool[..., None])[..., 0])
     back = branch(machine, workpiece[::-1], poses, True, False)[..., :3, :3]
     found = back @ (seen[0] - seen[1])[..., :3, None] * 1000.0

@@ -51,6 +51,8 @@ const MACHINES: usize = KINDS.len() * 4 * 3;
 const POSES: usize = 20;
 /// The target: the board against the transforms, in nm.
 const MAX_OF_BOARD_NM: f64 = 20.0;
+/// What offsets may leave on the workpiece, in µm: they are computed where the axes would stand without them.
+const MAX_LEFT_UM: f64 = 0.02;
 
 /// `host-tests/python/volume.py`: a machine and its poses in, the errors at them out.
 struct Transforms {
@@ -62,6 +64,8 @@ impl Transforms {
     fn new() -> Result<Self> {
         let mut python = Command::new(setup::python()?)
             .arg(setup::root().join("host-tests/python/volume.py"))
+            // Its matrices are small: threads for one of them only wait for each other.
+            .env("OPENBLAS_NUM_THREADS", "1")
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()?;
@@ -245,6 +249,101 @@ fn of_board_nm(calibration: &Calibration<'_>, place: &Place) -> [f64; 3] {
     sums.map(|it| f64::from(it.0) / 256.0)
 }
 
+/// Draws poses that a board can be sent, in its own units, and the same in mm and degrees.
+fn board_poses(
+    random: &mut ChaCha8Rng,
+    machine: &Machine,
+    count: usize,
+) -> (Vec<Place>, Vec<[f64; 6]>) {
+    let turning = machine.angle_axes();
+    let drawn = (0..count).map(|_| {
+        let mut place = Place::default();
+        let mut pose = [0.0; 6];
+        for (units, mm) in place.position.iter_mut().zip(&mut pose) {
+            let per_mm = f64::from(Position::PER_MILLIMETRE);
+            *units = Position((random.random_range(-500.0..500.0) * per_mm) as i32);
+            *mm = f64::from(units.0) / per_mm;
+        }
+        for (angle, axis) in place.angles.iter_mut().zip(&turning) {
+            *angle = MicroDegrees(random.random_range(-180_000_000..180_000_000));
+            pose[3 + axis.index()] = f64::from(angle.0) / 1e6;
+        }
+        (place, pose)
+    });
+    drawn.unzip()
+}
+
+/// Returns the offsets of a board with the calibration of `machine` at these places, in µm.
+fn offsets_um(machine: &Machine, places: &[Place]) -> Result<Vec<[f64; 3]>> {
+    let compiled = compile(machine)?;
+    let calibration = compiled.calibration();
+    let offset = |place| of_board_nm(&calibration, place).map(|nm| -nm / 1_000.0);
+    Ok(places.iter().map(offset).collect())
+}
+
+/// Returns the longest of the errors, in µm.
+fn longest_um(errors_um: &[[f64; 3]]) -> f64 {
+    let lengths = errors_um.iter().map(|it| it.iter().map(|um| um * um).sum::<f64>().sqrt());
+    lengths.fold(0.0, f64::max)
+}
+
+/// The tip is where it should be on the workpiece: with a head that turns the tool, and with a table that turns the
+/// workpiece, whatever its place there. A correction for another tool leaves what the angles make of the difference.
+#[test]
+fn with_the_offsets_of_the_board_the_tip_is_right_on_the_workpiece() -> Result<()> {
+    let mut random = ChaCha8Rng::seed_from_u64(49);
+    let mut transforms = Transforms::new()?;
+    let (mut without, mut left, mut shorter_tool, mut elsewhere) = (0.0, 0.0, 0.0, 0.0);
+    for number in 0..MACHINES {
+        let (mut machine, mut asked) = drawn(&mut random, number);
+        let (places, poses) = board_poses(&mut random, &machine, POSES);
+        asked["poses"] = json!(poses);
+        let mut left_um = |asked: &Value, offsets: &[[f64; 3]]| -> Result<f64> {
+            let mut asked = asked.clone();
+            asked["offsets"] = json!(offsets);
+            Ok(longest_um(&transforms.errors_um(&asked)?))
+        };
+        without = left_um(&asked, &[[0.0; 3]; POSES])?.max(without);
+        left = left_um(&asked, &offsets_um(&machine, &places)?)?.max(left);
+
+        let mut other = machine.clone();
+        other.volume.tool.length_mm += 100.0;
+        shorter_tool = left_um(&asked, &offsets_um(&other, &places)?)?.max(shorter_tool);
+
+        let chain = machine.volume.chain.as_ref().expect("drawn with one");
+        if !chain.table.is_empty() {
+            // Lines of rotary axes alone, those of the table: their errors depend on the place on it.
+            let of_table = chain.table.clone();
+            machine.volume.angular.clear();
+            for line in machine.volume.rotary.iter_mut().filter(|it| !of_table.contains(&it.axis)) {
+                (line.shift_um, line.tilt_urad) = ([0.0; 3], [0.0; 3]);
+            }
+            (machine.straightness, machine.squareness) = (Vec::new(), Vec::new());
+            machine.axes.iter_mut().for_each(|axis| axis.pitch = None);
+            (asked["angles"], asked["shifts"]) = (json!({}), json!({}));
+            let lines = asked["rotary"].as_object_mut().expect("a map");
+            for (axis, it) in lines {
+                if !of_table.iter().any(|table| table.name() == axis) {
+                    *it = json!({"point": it["point"]});
+                }
+            }
+            left = left_um(&asked, &offsets_um(&machine, &places)?)?.max(left);
+            let mut moved = places.clone();
+            for place in &mut moved {
+                place.position[0].0 += 100 * Position::PER_MILLIMETRE;
+            }
+            elsewhere = left_um(&asked, &offsets_um(&machine, &moved)?)?.max(elsewhere);
+        }
+    }
+    println!(
+        "µm on the workpiece: {without:.1} without offsets, {left:.4} with; {shorter_tool:.1} with those for a tool that is \
+         100 mm longer, {elsewhere:.1} with those for a place that is 100 mm farther on the table"
+    );
+    assert!(without > 20.0 && shorter_tool > 1.0 && elsewhere > 1.0);
+    assert!(left <= MAX_LEFT_UM, "{left} µm");
+    Ok(())
+}
+
 #[test]
 #[ignore = "campaign: cargo xtask volume-board"]
 fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> {
@@ -258,25 +357,7 @@ fn campaign_the_board_is_within_20_nm_of_homogeneous_transforms() -> Result<()> 
         let (machine, mut asked) = drawn(&mut random, number);
         let compiled = compile(&machine)?;
         let calibration = compiled.calibration();
-        let turning = machine.angle_axes();
-        let mut places = Vec::new();
-        let mut poses = Vec::new();
-        for _ in 0..each {
-            // A pose that the board can be sent: its own units.
-            let mut place = Place::default();
-            let mut pose = [0.0; 6];
-            for (units, mm) in place.position.iter_mut().zip(&mut pose) {
-                let per_mm = f64::from(Position::PER_MILLIMETRE);
-                *units = Position((random.random_range(-500.0..500.0) * per_mm) as i32);
-                *mm = f64::from(units.0) / per_mm;
-            }
-            for (angle, axis) in place.angles.iter_mut().zip(&turning) {
-                *angle = MicroDegrees(random.random_range(-180_000_000..180_000_000));
-                pose[3 + axis.index()] = f64::from(angle.0) / 1e6;
-            }
-            places.push(place);
-            poses.push(pose);
-        }
+        let (places, poses) = board_poses(&mut random, &machine, each);
         asked["poses"] = json!(poses);
         let theirs = transforms.errors_um(&asked)?;
         ensure!(theirs.len() == each, "{} answers", theirs.len());
