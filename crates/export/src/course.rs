@@ -14,7 +14,7 @@ use trueup_machine::{
     model::{backlash_um, pitch_um, spline_um, squareness_um},
 };
 
-use crate::{Options, report::Approach};
+use crate::{Format, Options, report::Approach};
 
 /// A period of a periodic error is looked at in this many parts.
 const PARTS_OF_PERIOD: f64 = 32.0;
@@ -222,14 +222,18 @@ fn column(effect: &Effect) -> Option<&str> {
     })
 }
 
-/// Returns the angles and lines that a control with tables of one axis cannot hold, each with the reason.
-pub(crate) fn volume_left_out(machine: &Machine) -> Vec<(String, String)> {
+/// Returns the angles and lines that the tables of a control cannot hold, each with the reason.
+pub(crate) fn volume_left_out(machine: &Machine, format: Format) -> Vec<(String, String)> {
     let mut left_out = Vec::new();
     const BY_LEVER: &str = "an angle acts by its lever along other axes, which no table of one axis holds; the bridge corrects it";
+    const OF_840D: &str = "an angle acts by its lever along other axes, which no $AN_CEC table of one axis holds. The \
+                           volumetric compensation of the 840D (VCS) could: no public description of its file was found, \
+                           so none is written; the bridge corrects it";
+    let by_lever = if format == Format::Siemens840d { OF_840D } else { BY_LEVER };
     const LINE: &str = "where the line of a rotary axis is stands in the control's own kinematics (swivel or \
                         transformation data); the bridge corrects it";
     let angles = machine.volume.angular.iter();
-    left_out.extend(angles.map(|it| (format!("angular.{}", it.name()), BY_LEVER.to_string())));
+    left_out.extend(angles.map(|it| (format!("angular.{}", it.name()), by_lever.to_string())));
     let lines = machine.volume.rotary.iter().filter(|it| !it.is_right());
     left_out.extend(lines.map(|it| (format!("rotary.{}", it.axis.name()), LINE.to_string())));
     left_out

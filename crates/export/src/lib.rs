@@ -201,7 +201,7 @@ pub fn export(machine: &Machine, format: Format, options: &Options) -> Result<Ex
         Export { files: Vec::new(), report: Report::new(format, &machine.name, options) };
     let mut left_out = course::terms_left_out(machine, options);
     if format != Format::Isg {
-        left_out.extend(course::volume_left_out(machine));
+        left_out.extend(course::volume_left_out(machine, format));
     }
     for (section, reason) in left_out {
         export.report.leave_out(section, reason);

@@ -160,6 +160,8 @@ fn without_a_chain_nothing_is_written_and_other_controls_refuse_angles_with_the_
             rule.contains("angular.eax: an angle acts by its lever along other axes"),
             "{rule}"
         );
+        // The 840D could, and the user wants to know why not.
+        assert_eq!(rule.contains("(VCS)"), format == Format::Siemens840d, "{rule}");
     }
 }
 
