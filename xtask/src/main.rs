@@ -105,6 +105,9 @@ enum Command {
         /// The first seed.
         #[arg(long, default_value_t = 0)]
         first: u32,
+        /// How an error goes over its axis.
+        #[arg(long, default_value = "polynomials", value_parser = ["polynomials", "waves", "walk"])]
+        law: String,
     },
     /// Compares the board's errors of the volume with homogeneous transforms in Python.
     VolumeBoard {
@@ -267,7 +270,7 @@ fn main() -> ExitCode {
         Command::Fuzz { minutes } => campaign::fuzz(minutes),
         Command::Mutants { draw, seed } => campaign::mutants(draw, seed),
         Command::Circles { circles } => campaign::circles(circles),
-        Command::Volumes { volumes, first } => campaign::volumes(volumes, first),
+        Command::Volumes { volumes, first, law } => campaign::volumes(volumes, first, &law),
         Command::VolumeBoard { poses } => campaign::volume_board(poses),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
         Command::Structure => {

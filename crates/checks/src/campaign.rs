@@ -73,14 +73,20 @@ pub fn circles(count: u32) -> Result<()> {
 }
 
 /// Draws this many machines with all errors of a volume, from this seed on, and as many without any, and prints how much of the error
-/// is gone at other places, how often intervals hold, and how often an error is claimed that is not there.
+/// is gone at other places, how often intervals hold, and how often an error is claimed that is not there. The errors of an axis are
+/// drawn by `law`: `polynomials`, or `waves` or `walk`, of which the first two figures are printed alone.
 ///
 /// # Errors
-/// It does not build, too little is gone, or intervals do not hold.
-pub fn volumes(count: u32, first: u32) -> Result<()> {
+/// It does not build, too little is gone, or intervals do not hold; by `waves`: a machine has become worse.
+pub fn volumes(count: u32, first: u32, law: &str) -> Result<()> {
+    let name = match law {
+        "polynomials" => "campaign::campaign_100_drawn_machines",
+        _ => "campaign::campaign_100_machines_by_another_law",
+    };
     let mut test = cargo::locked("test");
     test.args(["--profile", "soak", "-p", "trueup-fit", "--test", "volume", "--"])
-        .args(["--ignored", "--exact", "campaign::campaign_100_drawn_machines", "--nocapture"])
+        .args(["--ignored", "--exact", name, "--nocapture"])
+        .env("TRUEUP_VOLUMES_LAW", law)
         .env("TRUEUP_VOLUMES", count.to_string())
         .env("TRUEUP_VOLUMES_FIRST", first.to_string());
     process::run(&mut test)

@@ -7,12 +7,13 @@ use std::fmt::Write as _;
 
 use rand::{Rng as _, SeedableRng as _, seq::IndexedRandom as _};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StandardNormal;
 use trueup_twin::{
     axes::{Axes, AxesConfig, AxisConfig, AxisName, Straightness},
     bodies::{Body, Drive, error_um},
     cubic_spline::CubicSpline,
 };
+
+use crate::forms::{Law, normal};
 
 /// Kind, the rotary axes under the workpiece from it to the bed, and those of the tool from the frame.
 const KINDS: [(&str, &[usize], &[usize]); 8] = [
@@ -60,38 +61,18 @@ pub fn turned(vector: [f64; 3], about: usize, deg: f64) -> [f64; 3] {
     turned
 }
 
-fn normal(random: &mut ChaCha8Rng) -> f64 {
-    random.sample(StandardNormal)
-}
-
-/// Draws a smooth function over 0…`length` with mean 0: bow, S and finer forms, each smaller.
-fn form(random: &mut ChaCha8Rng, length: f64, size: f64, slope_per_m: f64) -> CubicSpline {
-    let amounts: [f64; 5] =
-        std::array::from_fn(|n| size * normal(random) / (n as f64 + 1.0).powi(2));
-    let slope = slope_per_m * normal(random);
-    let points = (0..=12).map(|n| {
-        let s = f64::from(n) / 6.0 - 1.0;
-        let legendre = [
-            (3.0 * s * s - 1.0) / 2.0,
-            (5.0 * s.powi(3) - 3.0 * s) / 2.0,
-            (35.0 * s.powi(4) - 30.0 * s * s + 3.0) / 8.0,
-            (63.0 * s.powi(5) - 70.0 * s.powi(3) + 15.0 * s) / 8.0,
-            (231.0 * s.powi(6) - 315.0 * s.powi(4) + 105.0 * s * s - 5.0) / 16.0,
-        ];
-        // Each with mean square 1/5, 1/7, …; the bow of `size` RMS.
-        let um: f64 = amounts.iter().zip(legendre).map(|(a, p)| 2.2 * a * p).sum();
-        [length * f64::from(n) / 12.0, um + slope * length / 2000.0 * s]
-    });
-    CubicSpline::through(points.collect()).expect("they rise")
-}
-
 impl Drawn {
-    pub fn new(seed: u64) -> Self {
-        Self::of_size(seed, None)
+    pub fn new(seed: u64, law: Law) -> Self {
+        Self::of(seed, None, law)
     }
 
-    /// Draws a machine whose errors are `size` times the usual ones; `None` draws the size as well.
-    pub fn of_size(seed: u64, stated: Option<f64>) -> Self {
+    /// Draws a machine of smooth errors, `size` times the usual ones.
+    pub fn of_size(seed: u64, size: f64) -> Self {
+        Self::of(seed, Some(size), Law::Polynomials)
+    }
+
+    /// `None` draws the size as well.
+    fn of(seed: u64, stated: Option<f64>, law: Law) -> Self {
         let random = &mut ChaCha8Rng::seed_from_u64(seed);
         let kind = seed as usize % KINDS.len();
         let (name, table, head) = KINDS[kind];
@@ -124,10 +105,10 @@ impl Drawn {
         let size = stated.unwrap_or(drawn);
         let mut axes = AxesConfig::default();
         for n in 0..3 {
-            let pitch = form(random, travel_mm[n], 4.0 * size, 20.0 * size);
+            let pitch = law.form(random, travel_mm[n], 4.0 * size, 20.0 * size);
             axes.axes.insert(NAMES[n], AxisConfig { pitch, ..AxisConfig::default() });
             for m in (0..3).filter(|m| *m != n) {
-                let points = form(random, travel_mm[m], 3.0 * size, 0.0);
+                let points = law.form(random, travel_mm[m], 3.0 * size, 0.0);
                 let um_per_m = 20.0 * size * normal(random);
                 let (error, along) = (NAMES[n], NAMES[m]);
                 axes.straightness.push(Straightness { error, along, points, um_per_m });
@@ -166,7 +147,7 @@ impl Drawn {
         };
         let mut bodies: Vec<Body> = table.iter().map(|n| rotary(random, *n, true)).collect();
         for (place, n) in linear.into_iter().enumerate() {
-            let mut turn = || form(random, travel_mm[n], 6.0 * size, 15.0 * size);
+            let mut turn = || law.form(random, travel_mm[n], 6.0 * size, 15.0 * size);
             let (turn_x, turn_y, turn_z) = (turn(), turn(), turn());
             bodies.push(Body { turn_x, turn_y, turn_z, ..plain(n, place < under, middle) });
         }

@@ -4,6 +4,7 @@
 
 mod campaign;
 mod drawn;
+mod forms;
 mod measured;
 mod rules;
 mod signs;

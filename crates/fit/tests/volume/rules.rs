@@ -44,7 +44,7 @@ fn plates(machine: &mut Drawn, tools: usize) -> String {
 #[test]
 fn an_angle_of_z_needs_a_second_tool_and_the_report_says_so() {
     // Seed 0: w b X Z Y t or the like, three axes that all move the tool.
-    let mut machine = Drawn::of_size(0, Some(1.0));
+    let mut machine = Drawn::of_size(0, 1.0);
     machine.file = machine
         .file
         .lines()
@@ -57,20 +57,20 @@ fn an_angle_of_z_needs_a_second_tool_and_the_report_says_so() {
         })
         .collect();
     let believed = file(&machine.file);
-    let one = fit(&plates(&mut Drawn::of_size(0, Some(1.0)), 1), &believed, &STATED);
+    let one = fit(&plates(&mut Drawn::of_size(0, 1.0), 1), &believed, &STATED);
     let open = of(&one, "EBZ");
     assert!(open.acts && !open.is_known, "{open:?}");
     assert!(open.next_test.contains("100 mm longer"), "{open:?}");
     assert!(of(&one, "EYX").is_known && of(&one, "EC0Y").is_known);
     // Nothing turns about the tool: no tip moves.
     assert!(!of(&one, "ECZ").acts);
-    let two = fit(&plates(&mut Drawn::of_size(0, Some(1.0)), 2), &believed, &STATED);
+    let two = fit(&plates(&mut Drawn::of_size(0, 1.0), 2), &believed, &STATED);
     assert!(of(&two, "EBZ").open < 0.5 * open.open, "{:?}", of(&two, "EBZ"));
 }
 
 #[test]
 fn a_sound_machine_stays_as_it_is_or_gets_less_than_the_noise() {
-    let mut machine = Drawn::of_size(0, Some(0.0));
+    let mut machine = Drawn::of_size(0, 0.0);
     let text = plates(&mut machine, 2);
     let report = fit(&text, &file(&machine.file), &STATED);
     assert!(report.is_better() != report.edit.is_empty(), "{:?}", report.held_out);
@@ -81,7 +81,7 @@ fn a_sound_machine_stays_as_it_is_or_gets_less_than_the_noise() {
 
 #[test]
 fn the_mean_scale_is_open_where_the_scale_of_the_artefact_is_not_stated() {
-    let mut machine = Drawn::of_size(0, Some(1.0));
+    let mut machine = Drawn::of_size(0, 1.0);
     let text = plates(&mut machine, 2);
     let believed = file(&machine.file);
     let report = fit(&text, &believed, &Options { scale_um_per_m: None, ..STATED });
@@ -92,7 +92,7 @@ fn the_mean_scale_is_open_where_the_scale_of_the_artefact_is_not_stated() {
 
 #[test]
 fn a_gross_reading_is_set_aside_and_changes_nothing() {
-    let mut machine = Drawn::of_size(0, Some(1.0));
+    let mut machine = Drawn::of_size(0, 1.0);
     let text = plates(&mut machine, 2);
     let mut lines: Vec<String> = text.lines().map(str::to_string).collect();
     let (before, value) = lines[40].rsplit_once(',').expect("columns");
@@ -107,7 +107,7 @@ fn a_gross_reading_is_set_aside_and_changes_nothing() {
 
 #[test]
 fn a_second_fit_of_the_same_readings_finds_nothing_more() {
-    let mut machine = Drawn::of_size(1, Some(1.0));
+    let mut machine = Drawn::of_size(1, 1.0);
     let mut balls = Balls::new(&mut machine);
     for tool_mm in machine.tools_mm {
         for height in [0.0, 0.5, 1.0] {
@@ -223,7 +223,7 @@ fn two_gauges_on_one_edge_claim_no_straightness_of_its_form() {
 
 #[test]
 fn what_cannot_be_fitted_is_refused_with_what_to_do() {
-    let mut machine = Drawn::of_size(0, Some(1.0));
+    let mut machine = Drawn::of_size(0, 1.0);
     let at = At { mm: [10.0; 3], deg: [0.0; 3], tool_mm: machine.tools_mm[0] };
     let mut balls = Balls::new(&mut machine);
     balls.probe(&mut machine, &at);
