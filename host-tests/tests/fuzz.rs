@@ -190,7 +190,7 @@ fn any_bytes_in_the_flash_can_be_started_on_and_stored_over() {
         bytes.resize(4 * SLOT_SIZE as usize, 0xFF);
         let (mut slots, found) = Slots::open(Memory(bytes.clone()), None, &mut [0; MAX_SIZE]);
         assert!(found.newest.is_none_or(|it| it.length <= MAX_SIZE));
-        let _ = slots.make_room();
+        let _ = slots.make_room(|| ());
         let _ = slots.store(&[7; 700], || ());
         let (mut references, _) = References::open(Memory(bytes.clone()), 7);
         let _ = references.make_room();

@@ -128,7 +128,7 @@ pub fn start(
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     let calibration_is_good = calibration.is_ok();
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
-    let references = references::open(Flash::load(), identity);
+    let references = references::open(Flash::load(), identity, || ());
     let samples = open(c"samples").expect("the host makes this pipe before it starts the board");
     let frames =
         File::create(c"frames").expect("the host makes this pipe before it starts the board");

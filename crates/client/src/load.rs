@@ -29,9 +29,9 @@ pub(crate) const REMNANT_MARGIN: Duration = Duration::from_millis(500);
 const DROP_TIMEOUT: Duration = Duration::from_secs(3);
 /// NMT: node 1 restarts.
 const RESET_NODE: [u8; 2] = [0x81, 1];
-/// How long the bridge may take to answer after that: one whose new firmware hangs goes back to the other by its
-/// watchdogs, after 15 s at worst.
-const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
+/// How long the bridge may take to answer after that: one whose new firmware hangs goes back to the other within 2 s. The
+/// rest is for a slow computer.
+const BOOT_TIMEOUT: Duration = Duration::from_secs(15);
 /// How long it may then go on to answer for what ran before.
 const SETTLE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long its heartbeat, of each 100 ms, may stay away before its channel is opened again: the restart may have come

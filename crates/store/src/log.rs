@@ -30,7 +30,7 @@ use embedded_storage::nor_flash::NorFlash;
 /// Bytes that are written or read at once.
 const PART: u32 = 256;
 /// Bytes of a word, the least that is written.
-const WORD: usize = 4;
+pub(crate) const WORD: usize = 4;
 
 /// Bytes of a part.
 pub(crate) const PART_SIZE: usize = PART as usize;

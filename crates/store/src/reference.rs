@@ -220,12 +220,19 @@ impl Events {
 impl<F: NorFlash> References<F> {
     /// Reads all of the flash. A slot that cannot be read counts as damaged.
     pub fn open(flash: F, calibration: u32) -> (Self, Found) {
+        Self::open_in_parts(flash, calibration, || ())
+    }
+
+    /// Reads all of the flash, as [`Self::open`]. `between` is called at each record, because two full sectors may take
+    /// longer than a watchdog waits.
+    pub fn open_in_parts(flash: F, calibration: u32, mut between: impl FnMut()) -> (Self, Found) {
         let mut found = Found::default();
         let (mut half, mut named, mut taken) = (None, None, None);
         let mut oldest_first = [None; writes::KEPT];
         let (mut only, mut only_named) = (Only::default(), Only::default());
         let (mut only_taken, mut events) = (Only::default(), Events::default());
         let log = Log::open(flash, SLOT_SIZE, |flash, slot| {
+            between();
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
             if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {

@@ -26,7 +26,7 @@ use embedded_storage::nor_flash::NorFlash;
 use crate::{
     calibration::{self, MAX_SIZE},
     crc,
-    log::{Half, Log, Only, PART_SIZE, Slot, StoreError, write_part},
+    log::{Half, Log, Only, PART_SIZE, Slot, StoreError, WORD, write_part},
 };
 
 /// Bytes before the blob.
@@ -172,11 +172,11 @@ impl<F: NorFlash> Slots<F> {
     }
 
     /// Empties the half that is not written to, if it is not empty. Gives whether it had to. The
-    /// erase may stall the core for seconds: this is for the start.
+    /// erase may stall the core for seconds: this is for the start. `between` is called as by [`Self::store`].
     ///
     /// # Errors
     /// [`StoreError`]; what is stored still counts.
-    pub fn make_room(&mut self) -> Result<bool, StoreError> {
+    pub fn make_room(&mut self, between: impl FnMut()) -> Result<bool, StoreError> {
         // What would be left alone is written anew first: a power cut may have torn its head, and the next
         // start may not find it. Where there is no room for that, what was found has to do.
         if let Some(stored) = self.alone
@@ -184,20 +184,22 @@ impl<F: NorFlash> Slots<F> {
             && self.log.has_room()
         {
             self.alone = None;
-            self.copy(stored)?;
+            self.copy(stored, between)?;
         }
         self.log.make_room()
     }
 
     /// Appends what is stored there once more.
-    fn copy(&mut self, stored: Stored) -> Result<(), StoreError> {
+    fn copy(&mut self, stored: Stored, mut between: impl FnMut()) -> Result<(), StoreError> {
         let head = stored.address.saturating_sub(HEAD);
         self.log.append(1, |flash, slot, sequence| {
             let mut part = [0; PART_SIZE];
             let mut done = 0;
             while done < stored.length {
                 let length = stored.length.saturating_sub(done).min(PART_SIZE);
-                let Some(bytes) = part.get_mut(..length) else { return false };
+                // Whole words, as the flash is read: behind the blob it is blank.
+                let words = length.next_multiple_of(WORD);
+                let Some(bytes) = part.get_mut(..words) else { return false };
                 // No more than a slot, which ends within 32 bits.
                 let at = u32::try_from(done).unwrap_or(u32::MAX);
                 let to = slot.address.saturating_add(HEAD).saturating_add(at);
@@ -206,6 +208,7 @@ impl<F: NorFlash> Slots<F> {
                     return false;
                 }
                 done = done.saturating_add(length);
+                between();
             }
             let Some(head) = Head::read_at(flash, head) else { return false };
             write_part(flash, slot.address, &Head { sequence, ..head }.encode())

@@ -5,8 +5,12 @@
 //! with a 0 there or its sector is erased. Bits of a sector whose erase was cut are undefined.
 
 use core::cell::Cell;
-use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash, check_read,
+};
 use std::{collections::BTreeMap, vec::Vec};
+
+use crate::log::WORD;
 
 /// This many bytes behind a cut in an erase are read differently twice.
 const WAVERING_ERASE: usize = 64;
@@ -75,9 +79,11 @@ impl<const SECTOR: usize> ErrorType for StrictFlash<SECTOR> {
 }
 
 impl<const SECTOR: usize> ReadNorFlash for StrictFlash<SECTOR> {
-    const READ_SIZE: usize = 1;
+    const READ_SIZE: usize = WORD;
 
     fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        // As the board's driver.
+        check_read(self, offset, bytes.len())?;
         let from = offset as usize;
         bytes.copy_from_slice(&self.bytes[from..][..bytes.len()]);
         // Cells on the edge often go all one way, and then the word looks sound.

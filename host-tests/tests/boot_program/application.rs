@@ -1,15 +1,21 @@
 //! The application itself, linked for a slot and signed, started by the boot program.
 
+use std::path::PathBuf;
+
 use trueup_boot::layout::Slot;
 use trueup_emulator::{setup, slots};
 
 use crate::board::{Board, GOOD, boot, file, has, version};
 
+/// Returns the image of the application, linked for a slot.
+pub fn linked(slot: Slot) -> PathBuf {
+    let machine = setup::root().join("data/paper_spindle.toml");
+    slots::build_application(slot, &machine).expect("it builds")
+}
+
 /// Returns the file of the application for a slot.
 pub fn application(slot: Slot, minor: u8) -> Vec<u8> {
-    let machine = setup::root().join("data/paper_spindle.toml");
-    let image = slots::build_application(slot, &machine).expect("it builds");
-    let body = slots::body(&image, slot).expect("a body");
+    let body = slots::body(&linked(slot), slot).expect("a body");
     println!("the application for slot {} has {} bytes", slot.name(), body.len());
     let key = slots::development_key().expect("the developers' key");
     slots::sign(&body, slot, version(minor), version(0), &key)

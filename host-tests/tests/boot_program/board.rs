@@ -21,6 +21,9 @@ pub const SPEAKS_AND_HANGS: u8 = 3;
 pub const CONFIRMS: u8 = 4;
 pub const LOADS: u8 = 5;
 
+/// A board answers within this many ms after anything.
+pub const ANSWER_MS: f64 = 2_000.0;
+
 /// Offset of slot A in the flash, and of the file that the small image loads.
 const SLOT_A: usize = 0x1_0000;
 const FILE: usize = 0x8_0000;

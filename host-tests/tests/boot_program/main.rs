@@ -5,6 +5,8 @@
 mod application;
 mod board;
 mod cuts;
+mod full_store;
+mod hangs;
 mod loads;
 #[path = "../support/sdo_script.rs"]
 mod sdo_script;

@@ -7,13 +7,12 @@ use trueup_boot::layout::{SLOT_SIZE, Slot};
 use trueup_emulator::binary;
 
 use crate::board::{
-    Board, GOOD, HANGS, RESETS, SPEAKS_AND_HANGS, boot, file, file_of, first, foreign, has,
+    ANSWER_MS, Board, GOOD, HANGS, RESETS, SPEAKS_AND_HANGS, boot, file, file_of, first, foreign,
+    has,
 };
 
 /// Limits of the watchdog's oscillator (data sheet, LSI oscillator characteristics), in Hz.
 const LSI: [&str; 3] = ["17000", "32000", "47000"];
-/// A board answers within this many ms after anything.
-const ANSWER_MS: f64 = 2_000.0;
 
 #[test]
 fn a_start_is_at_most_150_ms_longer_with_the_largest_image() {

@@ -10,7 +10,7 @@
 //! | clock | the internal oscillator through the PLL: no crystal is needed; 144 MHz, because it may be 4 % fast |
 //! | PLL dead | 16 MHz, and a signature that was verified at the download is not verified again |
 //! | RAM | the upper 32 KB, where the application has its stack: what outlasts a reset there lies lower |
-//! | watchdog | 0.5 to 1.5 s, by its oscillator; the image has to set its own limit by then |
+//! | watchdog | 0.5 to 1.5 s, by its oscillator; then 0.3 to 0.9 s, which the application keeps until its tasks run |
 //! | no image | the watchdog resets, and it looks again: a supply that dipped may have been the cause |
 //!
 //! It allocates nothing, and no panic can be reached (host-tests, `boot_program`). Section numbers are those of RM0090
@@ -35,21 +35,24 @@ use trueup_boot::{
     start::{Ending, choose},
 };
 
+use watchdog::{CHOICE, START};
+
 /// The key that updates are signed with (`build.rs`).
 static KEY: &[u8; KEY_SIZE] = include_bytes!(concat!(env!("OUT_DIR"), "/key.bin"));
 
 #[entry]
 fn main() -> ! {
     let Some(device) = Peripherals::take() else { SCB::sys_reset() };
-    let watchdog = watchdog::start(&device.IWDG, &device.DBGMCU);
+    watchdog::start(&device.IWDG, &device.DBGMCU, CHOICE);
+    let feed = || watchdog::feed(&device.IWDG);
     let ending = ending(&device.RCC);
     let clock = clocks::start(&device.RCC, &device.FLASH, &device.DBGMCU);
     let (records, mut slots) = flash::split(device.FLASH);
     let mut journal = Journal::open(records);
     let start = PublicKey::new(KEY)
-        .and_then(|key| choose(&mut journal, &mut slots, &key, ending, clock, || watchdog.feed()));
+        .and_then(|key| choose(&mut journal, &mut slots, &key, ending, clock, feed));
     clocks::stop(&device.RCC, slots.controller());
-    watchdog.feed();
+    watchdog::set(&device.IWDG, START);
     if let Some(start) = start {
         enter(start.image.header.slot);
     }

@@ -1,54 +1,69 @@
-//! The independent watchdog of a start (section 21).
+//! The independent watchdog of a start (section 21): of the boot program, and of the application until its tasks run.
 //!
-//! | its oscillator (data sheet, LSI oscillator characteristics) | limit |
-//! |---|---|
-//! | 17 kHz, the slowest | 1.51 s |
-//! | 32 kHz | 0.80 s |
-//! | 47 kHz, the fastest | 0.54 s |
+//! | limit | 47 kHz | 32 kHz | 17 kHz |
+//! |---|---|---|---|
+//! | [`CHOICE`]: while the boot program chooses an image | 0.54 s | 0.80 s | 1.51 s |
+//! | [`START`]: from its last step on, until the tasks of the application run | 0.34 s | 0.50 s | 0.94 s |
 //!
-//! The longest is what counts for an image that hangs: with two starts of this program around it the board is back
-//! within 2 s. The shortest is longer than anything between two feeds here: the erase of a sector of 16 KB takes
-//! 0.5 s at most, a part of an image 1 ms. An application sets its own limit in its first milliseconds.
+//! The oscillator has 17 to 47 kHz (data sheet, LSI oscillator characteristics). The longest is what counts for an image that
+//! hangs: with two starts around it the board is back within 2 s. The shortest is longer than anything between two
+//! feeds: in the boot program the erase of a sector of 16 KB takes 0.5 s at most, a part of an image 1 ms.
 
-use stm32f4xx_hal::pac::{DBGMCU, IWDG};
+use stm32f4xx_hal::pac::{DBGMCU, iwdg::RegisterBlock};
 
 /// IWDG_KR: start, unlock, reload.
-const START: u16 = 0xCCCC;
+const ON: u16 = 0xCCCC;
 const UNLOCK: u16 = 0x5555;
 const RELOAD: u16 = 0xAAAA;
-/// IWDG_PR: the oscillator by 32.
-const BY_32: u8 = 3;
-/// Periods of that.
-const PERIODS: u16 = 800;
-/// The registers take five periods of the oscillator, 0.3 ms at most (section 21.4.4): this is some 3 ms.
-const POLLS: u32 = 8_000;
+/// The registers take five periods of the oscillator, 0.3 ms at most (section 21.4.4). A poll takes at least eight cycles
+/// of the core: 0.9 ms at 168 MHz.
+const POLLS: u32 = 20_000;
 
-/// The watchdog, started.
-pub struct Watchdog<'a>(&'a IWDG);
-
-/// Starts it; it pauses while a debugger halts the core.
-#[allow(unsafe_code, reason = "registers of the watchdog")]
-pub fn start<'a>(iwdg: &'a IWDG, dbgmcu: &DBGMCU) -> Watchdog<'a> {
-    dbgmcu.apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit());
-    // SAFETY: the keys and values of section 21.4.
-    unsafe {
-        iwdg.kr().write(|w| w.bits(START));
-        iwdg.kr().write(|w| w.bits(UNLOCK));
-        iwdg.pr().write(|w| w.bits(u32::from(BY_32) as _));
-        iwdg.rlr().write(|w| w.bits(u32::from(PERIODS) as _));
-    }
-    // An emulator without a watchdog says at once that it is done.
-    let _is_done = (0..POLLS).any(|_| iwdg.sr().read().bits() == 0);
-    let watchdog = Watchdog(iwdg);
-    watchdog.feed();
-    watchdog
+/// How long it waits for a feed.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Limit {
+    /// IWDG_PR: 3 divides the oscillator by 32, 6 by 256.
+    pub prescaler: u8,
+    /// IWDG_RLR: periods of that, one less.
+    pub reload: u16,
 }
 
-impl Watchdog<'_> {
-    /// Another [`PERIODS`].
-    #[allow(unsafe_code, reason = "registers of the watchdog")]
-    pub fn feed(&self) {
-        // SAFETY: the key of section 21.4.1.
-        self.0.kr().write(|w| unsafe { w.bits(RELOAD) });
+/// The boot program chooses, or an application starts on a slow core.
+pub const CHOICE: Limit = Limit { prescaler: 3, reload: 799 };
+/// An image starts.
+pub const START: Limit = Limit { prescaler: 3, reload: 499 };
+
+/// Starts it with a limit; it pauses while a debugger halts the core. Nothing but a reset stops it again.
+#[allow(unsafe_code, reason = "registers of the watchdog")]
+pub fn start(iwdg: &RegisterBlock, dbgmcu: &DBGMCU, limit: Limit) {
+    dbgmcu.apb1_fz().modify(|_, w| w.dbg_iwdg_stop().set_bit());
+    // SAFETY: the key of section 21.4.1.
+    iwdg.kr().write(|w| unsafe { w.bits(ON) });
+    set(iwdg, limit);
+}
+
+/// Sets a limit, and feeds: it counts by this one from now on.
+#[allow(unsafe_code, reason = "registers of the watchdog")]
+pub fn set(iwdg: &RegisterBlock, limit: Limit) {
+    wait(iwdg);
+    // SAFETY: the keys and values of section 21.4.
+    unsafe {
+        iwdg.kr().write(|w| w.bits(UNLOCK));
+        iwdg.pr().write(|w| w.bits(u32::from(limit.prescaler) as _));
+        iwdg.rlr().write(|w| w.bits(u32::from(limit.reload) as _));
     }
+    wait(iwdg);
+    feed(iwdg);
+}
+
+/// Waits until its registers are what was written. An emulator without a watchdog says at once that it is done.
+fn wait(iwdg: &RegisterBlock) {
+    let _is_done = (0..POLLS).any(|_| iwdg.sr().read().bits() == 0);
+}
+
+/// Lets it wait anew.
+#[allow(unsafe_code, reason = "registers of the watchdog")]
+pub fn feed(iwdg: &RegisterBlock) {
+    // SAFETY: the key of section 21.4.1.
+    iwdg.kr().write(|w| unsafe { w.bits(RELOAD) });
 }

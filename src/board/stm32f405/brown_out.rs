@@ -49,12 +49,12 @@ impl BrownOut {
     }
 
     /// Raises it at once, if it is low.
-    pub fn raise(&mut self) {
+    pub fn raise(&mut self, watchdog: &mut Watchdog) {
         if !self.is_due {
             return;
         }
         self.is_due = false;
-        if write(&self.controller) {
+        if watchdog.loosened(|| write(&self.controller)) {
             defmt::info!("brown-out level set to 3");
         } else {
             defmt::error!("dead: option bytes, the brown-out level is still not 3");
@@ -65,7 +65,7 @@ impl BrownOut {
     pub fn turn(&mut self, gives_offset: bool, watchdog: &mut Watchdog) {
         self.turns = if gives_offset { 0 } else { self.turns + 1 };
         if self.is_due && self.turns >= TURNS {
-            watchdog.loosened(|| self.raise());
+            self.raise(watchdog);
         }
     }
 }

@@ -10,7 +10,7 @@
 //! of eight words therefore costs some bytes of the serial line, which has 10.8 µs: the lines they
 //! belong to are refused and counted, and come again; a calibration costs some hundred words of them,
 //! while no offset is followed. An erase is for the start alone, before anything runs that would miss
-//! the time: so neither store ever stands in need of one later, nor does the watchdog.
+//! the time: so neither store ever stands in need of one later. The watchdog waits longer during an erase alone.
 
 use core::{ptr, slice};
 
@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::{
 };
 use stm32f4xx_hal::pac::{FLASH, flash::cr::PSIZE};
 
-use super::{MILLISECOND, mpu, within};
+use super::{MILLISECOND, mpu, watchdog, within};
 
 /// Where sector 8 begins.
 const START: usize = 0x0808_0000;
@@ -170,7 +170,7 @@ impl NorFlash for Flash {
         let first = from as usize / SECTOR_SIZE;
         let end = to as usize / SECTOR_SIZE;
         let own = self.sector;
-        self.unlocked(|flash| {
+        let erase = |flash: &FLASH| {
             let erased = (own..).take(SECTORS).take(end).skip(first).all(|sector| {
                 // SAFETY: 8 to 11 are sectors of this chip, and none holds the image.
                 flash.cr().modify(|_, w| unsafe {
@@ -187,7 +187,8 @@ impl NorFlash for Flash {
             });
             forget_cached(flash);
             erased
-        })
+        };
+        watchdog::while_erasing(|| self.unlocked(erase))
     }
 }
 

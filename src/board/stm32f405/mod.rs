@@ -97,7 +97,8 @@ pub const COLD_AT_START: bool = false;
 /// Turns of the supervisor in one second.
 const SUPERVISOR_HZ: u32 = 100;
 
-/// Brings up every part, the watchdog first; once all are up, the supervisor has to keep it quiet.
+/// Brings up every part, the watchdog first; once all are up, the supervisor has to keep it quiet. Until then each part
+/// that reads much feeds it: once, or at each record of a store, whose loops are bounded by its size. One that hangs is reset.
 pub fn start(
     mut core: cortex_m::Peripherals,
     device: pac::Peripherals,
@@ -110,23 +111,30 @@ pub fn start(
     mpu::protect(&core.MPU);
     trap_divisions_by_zero(&core.SCB);
     let (mut rcc, source) = clocks::start(device.RCC, &device.TIM11, &device.FLASH, &mut core.SYST);
+    if source == Source::Internal {
+        watchdog.slow_down();
+    }
+    watchdog.feed();
     let mut brown_out = BrownOut::look(reset);
     keep_debugger_connected(&device.DBGMCU);
 
     // Before anything runs that an erase would hold up.
     let [calibrations, flash] = Flash::split(device.FLASH);
     let own = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
-    let (store, loaded, is_older) = Store::open(calibrations, (!IS_EXAMPLE).then_some(own), buffer);
+    let base = (!IS_EXAMPLE).then_some(own);
+    let (store, loaded, is_older) = Store::open(calibrations, base, buffer, || watchdog.feed());
+    watchdog.feed();
     let is_example = IS_EXAMPLE && loaded.is_none();
     let blob = calibration::whole(loaded.unwrap_or(CALIBRATION));
     let calibration =
         blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
     let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
-    let references = references::open(flash, identity);
+    let references = references::open(flash, identity, || watchdog.feed());
+    watchdog.feed();
     let kept = &references.1;
     if loaded.is_none() && kept.standing.is_none() && kept.named.is_none() {
         // Nobody waits for a new board.
-        brown_out.raise();
+        brown_out.raise(&mut watchdog);
     }
     let calibration = calibration.map(|(_, calibration)| calibration);
     let blob = if calibration.is_ok() { blob.unwrap_or_default() } else { &[] };
@@ -136,6 +144,7 @@ pub fn start(
     let gpioc = device.GPIOC.split(&mut rcc);
     // Before samples are taken: it takes longer than a block.
     let self_test = SelfTest::start(device.CRC, &mut rcc);
+    watchdog.feed();
     // Before any of its streams: the converter's and the serial line's.
     pac::DMA2::enable(&mut rcc);
     pac::DMA2::reset(&mut rcc);

@@ -12,13 +12,15 @@ pub struct Store(Slots<Flash>);
 
 impl Store {
     /// Opens it over the image's own calibration, `base`, or over an example, and gives the blob that
-    /// was loaded over it, if there is one, and whether one that was loaded later is damaged. An erase may be needed to make room, so this is for the time before samples
-    /// are taken and the watchdog runs. `buffer` takes one calibration at a time.
+    /// was loaded over it, if there is one, and whether one that was loaded later is damaged. An erase may be needed to
+    /// make room, so this is for the time before samples are taken. `buffer` takes one calibration at a time. `feed` is
+    /// for the watchdog: all of them are read, and one may be written anew, 0.4 s at the most.
     #[allow(unsafe_code, reason = "a slice of the flash")]
     pub fn open(
         flash: Flash,
         base: Option<u32>,
         buffer: &mut [u8],
+        mut feed: impl FnMut(),
     ) -> (Self, Option<&'static [u8]>, bool) {
         let (mut slots, found) = Slots::open(flash, base, buffer);
         let Found { newest, foreign, damaged, newer_is_damaged } = found;
@@ -28,7 +30,8 @@ impl Store {
         if damaged > 0 {
             defmt::warn!("stored calibrations that are damaged, refused: {}", damaged);
         }
-        match slots.make_room() {
+        feed();
+        match slots.make_room(feed) {
             Ok(false) => {}
             Ok(true) => defmt::info!("room made for calibrations"),
             Err(error) => defmt::error!("dead: store of calibrations, {}", error),

@@ -1,16 +1,13 @@
 //! The watchdog, and what the last reset came from (sections 21 and 7.3.21).
 
+#[path = "../../bin/boot/watchdog.rs"]
+mod limit;
+
 use trueup_link::status::ResetReason;
 
-use super::{
-    MILLISECOND,
-    last_words::{LastWords, Why},
-};
-use stm32f4xx_hal::{
-    pac::{DBGMCU, IWDG, RCC},
-    prelude::*,
-    watchdog::IndependentWatchdog,
-};
+use super::last_words::{LastWords, Why};
+use limit::Limit;
+use stm32f4xx_hal::pac::{DBGMCU, IWDG, RCC, iwdg::RegisterBlock};
 
 /// Cause of the last reset.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
@@ -67,48 +64,61 @@ pub fn reason(reset: Reset, last_words: Option<&LastWords>) -> ResetReason {
     }
 }
 
+/// An erase, at least 5.4 s: two sectors of 128 KB take 4 s at most.
+const ERASE: Limit = Limit { prescaler: 6, reload: 999 };
+/// The supervisor feeds it.
+const RUN: Limit = Limit { prescaler: 6, reload: 12 };
+
 /// The independent watchdog: resets the chip unless it is fed.
 ///
-/// 100 ms are ten turns of the supervisor that feeds it. Its oscillator is not exact (17…47 kHz,
-/// data sheet): the true limit lies between 70 and 196 ms, at least seven turns, and well below
-/// the 500 ms after which either end of the link counts the other as lost.
-pub struct Watchdog(IndependentWatchdog);
+/// | limit | by its oscillator, 47…32…17 kHz (data sheet) | holds |
+/// |---|---|---|
+/// | [`limit::START`] | 0.34…0.50…0.94 s | from the end of the boot program on until the tasks run; each part of the start feeds once |
+/// | [`RUN`] | 71…104…196 ms | then: ten turns of the supervisor that feeds it, at least seven; well below the 500 ms after which either end of the link counts the other as lost |
+/// | [`ERASE`] | 5.4…8.0…15 s | while a sector is erased or an option byte written, and no code besides |
+pub struct Watchdog(IWDG);
 
 impl Watchdog {
-    /// Starts it, first of all parts, and nothing but a reset stops it again; it pauses while a debugger
-    /// halts the core. A start has 8 s by the watchdog's own clock, at least 5.4 s: erasing two sectors of
-    /// the flash takes 4 s at most.
+    /// Starts it, first of all parts; it pauses while a debugger halts the core.
     pub fn start(iwdg: IWDG, dbgmcu: &DBGMCU) -> Self {
-        let mut watchdog = Self(IndependentWatchdog::new(iwdg));
-        watchdog.0.stop_on_debug(dbgmcu, true);
-        watchdog.loosen();
-        watchdog
+        limit::start(&iwdg, dbgmcu, limit::START);
+        Self(iwdg)
     }
 
-    /// Lets a start or an erase take its time. The longer limit holds from the next [`Self::feed`] on that comes a
-    /// millisecond later: its registers take five periods of its oscillator, 0.3 ms at most (section 21.4.4).
-    pub fn loosen(&mut self) {
-        self.0.start(8_000.millis());
+    /// The core has 16 MHz and not 144 or more: the limit of the boot program, 0.54…0.80…1.51 s, because the
+    /// two stores take 0.5 s to read when they are full.
+    pub fn slow_down(&mut self) {
+        limit::set(&self.0, limit::CHOICE);
     }
 
     /// Does `work`, which may take up to 5.4 s in which nobody feeds it.
     pub fn loosened<R>(&mut self, work: impl FnOnce() -> R) -> R {
-        self.loosen();
-        // Until it counts by the new limit.
-        cortex_m::asm::delay(MILLISECOND);
-        self.feed();
-        let result = work();
-        self.tighten();
-        result
+        loosened(&self.0, work)
     }
 
     /// The start is done: from now on it is fed by the supervisor.
     pub fn tighten(&mut self) {
-        self.0.start(100.millis());
+        limit::set(&self.0, RUN);
     }
 
-    /// Another 100 ms.
+    /// Lets it wait anew.
     pub fn feed(&mut self) {
-        self.0.feed();
+        limit::feed(&self.0);
     }
+}
+
+/// Does `work`, an erase, for one who does not have the watchdog: for the stores, which are opened by the start.
+#[allow(unsafe_code, reason = "the watchdog has two users")]
+pub fn while_erasing<R>(work: impl FnOnce() -> R) -> R {
+    // SAFETY: start and supervisor use it one after the other, and neither while the other is in `work`.
+    loosened(unsafe { &*IWDG::ptr() }, work)
+}
+
+fn loosened<R>(iwdg: &RegisterBlock, work: impl FnOnce() -> R) -> R {
+    let before =
+        Limit { prescaler: iwdg.pr().read().pr().bits(), reload: iwdg.rlr().read().rl().bits() };
+    limit::set(iwdg, ERASE);
+    let result = work();
+    limit::set(iwdg, before);
+    result
 }

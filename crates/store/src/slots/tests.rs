@@ -44,7 +44,7 @@ fn the_newest_counts_through_more_than_the_flash_holds() {
     let mut last = 0;
     for number in 1..20 {
         let (mut slots, _) = open(&flash, IMAGE);
-        slots.make_room().expect("a good flash");
+        slots.make_room(|| ()).expect("a good flash");
         let mut turns = 0;
         let sequence = slots.store(&blob(number), || turns += 1).expect("room was made");
         // Once in a half what would be left alone is copied, which takes a number too.
@@ -85,7 +85,7 @@ fn wherever_the_power_is_cut_the_old_one_or_the_new_one_counts_whole() {
             assert!(!is_told || (all - 4..all).contains(&fuel), "cut at {fuel}");
             // And it goes on from there, with an erase at the start if one is needed.
             let (mut slots, _) = open(&cut, IMAGE);
-            slots.make_room().expect("powered");
+            slots.make_room(|| ()).expect("powered");
             assert!(slots.store(&blob(10), || ()).is_ok());
             assert_eq!(newest(&slots.log.flash), Some(blob(10)));
         }
@@ -101,7 +101,7 @@ fn an_erase_that_is_cut_loses_nothing_that_counts() {
     for fuel in (0..=SECTOR).step_by(501) {
         let (mut slots, _) = open(&flash, IMAGE);
         slots.log.flash.fuel = fuel;
-        assert_eq!(slots.make_room().is_ok(), fuel >= SECTOR);
+        assert_eq!(slots.make_room(|| ()).is_ok(), fuel >= SECTOR);
         assert_eq!(newest(&slots.log.flash), Some(blob(3)), "cut at {fuel}");
     }
 }
@@ -143,7 +143,7 @@ fn a_dead_flash_takes_nothing_and_says_so() {
     let (mut slots, found) = open(&zeros, IMAGE);
     slots.log.flash.dead = true;
     assert_eq!(found.damaged, 4);
-    assert_eq!(slots.make_room(), Err(StoreError::NotErased));
+    assert_eq!(slots.make_room(|| ()), Err(StoreError::NotErased));
     assert_eq!(slots.store(&blob(1), || ()), Err(StoreError::Full));
 }
 
@@ -202,7 +202,7 @@ fn blob_of(words: usize, number: u32) -> Vec<u8> {
 fn live(flash: &Flash, fuel: usize, blob: &[u8]) -> (Flash, bool) {
     let (mut slots, _) = open(flash, IMAGE);
     slots.log.flash.fuel = fuel;
-    let is_stored = slots.make_room().is_ok() && slots.store(blob, || ()).is_ok();
+    let is_stored = slots.make_room(|| ()).is_ok() && slots.store(blob, || ()).is_ok();
     (slots.log.flash, is_stored)
 }
 
@@ -211,7 +211,7 @@ fn burnt(flash: &Flash, blob: &[u8]) -> [usize; 2] {
     const FUEL: usize = usize::MAX / 2;
     let (mut slots, _) = open(flash, IMAGE);
     slots.log.flash.fuel = FUEL;
-    slots.make_room().expect("powered");
+    slots.make_room(|| ()).expect("powered");
     let room = FUEL - slots.log.flash.fuel;
     slots.store(blob, || ()).expect("room was made");
     [room, FUEL - slots.log.flash.fuel]
@@ -321,7 +321,7 @@ fn what_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half
     let flash = store(store(store(Flash::erased(), 1).0, 2).0, 3).0;
     let (mut slots, found) = open(&flash, IMAGE);
     assert_eq!(found.newest.map(|it| (it.sequence, it.address)), Some((3, SECTOR as u32 + HEAD)));
-    assert_eq!(slots.make_room(), Ok(true));
+    assert_eq!(slots.make_room(|| ()), Ok(true));
     // Its head may have been cut, and be read as none the next time; the copy is newer.
     let mut flash = slots.log.flash;
     assert_eq!(open(&flash, IMAGE).1.newest.map(|it| it.sequence), Some(4));
@@ -338,7 +338,7 @@ fn loads_over_another_image_never_take_the_room_of_the_one_that_counts() {
     }
     flash = others.log.flash;
     let (mut slots, _) = open(&flash, IMAGE);
-    slots.make_room().expect("powered");
+    slots.make_room(|| ()).expect("powered");
     assert_eq!(newest(&slots.log.flash), Some(blob(1)));
 }
 
