@@ -68,33 +68,16 @@ pub(crate) fn estimates(
             }
             Parameter::Fixed(name, value) => put(&mut map, name, *value, [*value; 2]),
             Parameter::Instant(name, number) => {
-                // A jump is as sharp as its neighbours in time, of which the one before may be long ago.
                 let at_s = part.values[*number];
-                let step_s = step_s(problem) * problem.groups.size as f64;
-                let rows = (0..data.rows).filter(|&row| data.used[row]);
-                let times = rows.filter_map(|row| data.time_s.as_ref().map(|times| times[row]));
-                let before_s = times.filter(|time_s| *time_s < at_s).fold(f64::NAN, f64::max);
-                let first_s = (at_s - 2.0 * step_s).min(before_s);
-                put(&mut map, name, at_s, [first_s, at_s + step_s]);
+                put(&mut map, name, at_s, around_instant(problem, at_s));
             }
             Parameter::Waves(period, harmonics) => {
-                // Of several waves the largest is the one that is named.
-                let waves = part.values[nonlinear.len()..].chunks(2);
-                let sizes: Vec<f64> = waves.map(|pair| pair[0].hypot(pair[1])).collect();
-                let largest = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b]));
-                let largest = largest.unwrap_or(0);
-                let start = nonlinear.len() + 2 * largest;
-                let harmonic = f64::from(harmonics[largest]);
-                let (a, b) = (part.values[start], part.values[start + 1]);
-                let amplitude = a.hypot(b);
-                let sd = match (place(start), place(start + 1)) {
-                    (Some(i), Some(j)) if amplitude > 0.0 => {
-                        let c = |i, j| spread.covariance(i, j);
-                        let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
-                        quantile * square.max(0.0).sqrt() / amplitude
-                    }
-                    _ => f64::NAN,
-                };
+                let (start, harmonic) = largest_wave(&part.values[nonlinear.len()..], harmonics);
+                let start = nonlinear.len() + start;
+                let pair = [part.values[start], part.values[start + 1]];
+                let amplitude = pair[0].hypot(pair[1]);
+                let at = place(start).zip(place(start + 1)).filter(|_| amplitude > 0.0);
+                let sd = at.map_or(f64::NAN, |at| quantile * spread_of_wave(pair, at, &spread));
                 // Without an interval nothing is known of it.
                 reaches_nothing |= amplitude <= sd || sd.is_nan();
                 put(
@@ -155,6 +138,31 @@ pub(crate) fn estimates(
         }
     }
     Estimates { named: map, intervals, is_determined, reaches_nothing }
+}
+
+/// Returns the interval in s of a jump at an instant: it is as sharp as its neighbours in time, of which the one before
+/// may be long ago.
+fn around_instant(problem: &Problem, at_s: f64) -> [f64; 2] {
+    let data = &problem.data;
+    let step_s = step_s(problem) * problem.groups.size as f64;
+    let rows = (0..data.rows).filter(|&row| data.used[row]);
+    let times = rows.filter_map(|row| data.time_s.as_ref().map(|times| times[row]));
+    let before_s = times.filter(|time_s| *time_s < at_s).fold(f64::NAN, f64::max);
+    [(at_s - 2.0 * step_s).min(before_s), at_s + step_s]
+}
+
+/// Returns where the largest of several waves begins in their values, the one that is named, and its harmonic.
+fn largest_wave(values: &[f64], harmonics: &[u32]) -> (usize, f64) {
+    let sizes: Vec<f64> = values.chunks(2).map(|pair| pair[0].hypot(pair[1])).collect();
+    let largest = (0..sizes.len()).max_by(|a, b| sizes[*a].total_cmp(&sizes[*b])).unwrap_or(0);
+    (2 * largest, f64::from(harmonics[largest]))
+}
+
+/// Returns the standard error of the amplitude of a wave, of the values of its pair and their places in the spread.
+fn spread_of_wave([a, b]: [f64; 2], (i, j): (usize, usize), spread: &Spread) -> f64 {
+    let c = |i, j| spread.covariance(i, j);
+    let square = a * a * c(i, i) + 2.0 * a * b * c(i, j) + b * b * c(j, j);
+    square.max(0.0).sqrt() / a.hypot(b)
 }
 
 /// Returns whether the intervals of all values that say how much a part does hold the value at which it does

@@ -181,6 +181,23 @@ fn axis_of(words: &[String]) -> Option<char> {
     words.iter().find_map(|word| of(word))
 }
 
+/// Returns where a thermometer is, by the words of its column: `temp_Lager_vorn_C` is `lager_vorn`; without any: `1`.
+fn place_of(words: &[String]) -> String {
+    let is_place = |word: &&str| !words::has(TEMPERATURE, word) && !["t", "c"].contains(word);
+    let place: Vec<&str> = words.iter().map(String::as_str).filter(is_place).collect();
+    if place.is_empty() { "1".into() } else { place.join("_") }
+}
+
+/// Returns a name with the suffix of its unit.
+fn with_unit(name: &str, dimension: Option<Dimension>) -> String {
+    dimension.map_or_else(|| name.into(), |it| format!("{name}_{}", it.suffix()))
+}
+
+/// Returns whether a word belongs to a number of rows.
+fn is_of_row(word: &String) -> bool {
+    [ROW, NUMBER, FILLING].iter().any(|list| words::has(list, word))
+}
+
 /// Returns what the column `name` means, its values being in `unit` where that is known.
 pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meaning {
     let known = |name: &str| Meaning::Known(Target::of(name));
@@ -198,12 +215,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
         .contains(&words[0].as_str())
         && is_identifier;
     let other = || {
-        let suffix =
-            dimension.map(|dimension| format!("_{}", dimension.suffix())).unwrap_or_default();
-        let name = match is_identifier {
-            true => header.to_string(),
-            false => format!("{slugged}{suffix}"),
-        };
+        let name = if is_identifier { header.into() } else { with_unit(&slugged, dimension) };
         Meaning::Other(name)
     };
     if is_own || (is_identifier && dimension.is_none()) {
@@ -221,13 +233,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     });
     let is_temperature = has(TEMPERATURE) || (dimension.is_some() && !is_identifier);
     if matches!(dimension, None | Some(Dimension::Temperature)) && is_temperature {
-        let place: Vec<&str> = words
-            .iter()
-            .map(String::as_str)
-            .filter(|word| !words::has(TEMPERATURE, word) && !["t", "c"].contains(word))
-            .collect();
-        let place = if place.is_empty() { "1".to_string() } else { place.join("_") };
-        return known(&format!("temp_{place}_c"));
+        return known(&format!("temp_{}_c", place_of(&words)));
     }
     if matches!(dimension, None | Some(Dimension::Time)) && has(TIME) {
         return known("time_s");
@@ -292,8 +298,6 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
         return known("run");
     }
     // `Punkt Nr.` counts rows, `Werkzeug Nr.` is a quantity.
-    let is_of_row =
-        |word: &String| [ROW, NUMBER, FILLING].iter().any(|list| words::has(list, word));
     let is_row_number = has(NUMBER) && words.iter().all(is_of_row);
     if dimension.is_none() && (has(NOTHING) || is_row_number || slugged.is_empty()) {
         return Meaning::Nothing;

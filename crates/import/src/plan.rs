@@ -341,21 +341,7 @@ fn role(
     };
     let is_time = matches!(target.name.as_str(), "time_s" | "gauge_time_s");
     if is_moments {
-        if is_time {
-            let form = if meaning::is_clock_form(&draft.unit_text) {
-                draft.unit_text.clone()
-            } else {
-                String::new()
-            };
-            return Ok(Role::Moments { target, form });
-        }
-        if !draft.is_named {
-            return Ok(Role::LeftOut("it is a time, and no clock of the run"));
-        }
-        let place = source.place.clone();
-        return Err(
-            BadInput::new(place, format!("{} holds times, no numbers", source.header)).into()
-        );
+        return role_of_moments(draft, target, is_time);
     }
     if target.name.starts_with("dir_") {
         return Ok(Role::Direction(target));
@@ -410,6 +396,21 @@ fn role(
     let unit = numeric_unit(draft, dimension, own)?;
     let per_base = target.per_base;
     Ok(Role::Number { target, unit, per_base })
+}
+
+/// Returns the role of a column whose values are dates or times of day.
+fn role_of_moments(draft: &Draft<'_>, target: Target, is_time: bool) -> Result<Role, Refused> {
+    let Draft { source, unit_text, .. } = draft;
+    if is_time {
+        let is_form = meaning::is_clock_form(unit_text);
+        let form = if is_form { unit_text.clone() } else { String::new() };
+        return Ok(Role::Moments { target, form });
+    }
+    if !draft.is_named {
+        return Ok(Role::LeftOut("it is a time, and no clock of the run"));
+    }
+    let rule = format!("{} holds times, no numbers", source.header);
+    Err(BadInput::new(source.place.clone(), rule).into())
 }
 
 /// Returns the unit that a name of the run file states itself.
