@@ -39,55 +39,14 @@ impl Data {
     ) -> Result<Self, BadInput> {
         let (runs, notes) = without_bridge(machine, runs, quantity, factor)?;
         let rows: usize = runs.iter().map(|run| run.rows()).sum();
-        let joined = |name: &str| -> Option<Arc<[f64]>> {
-            if !runs.iter().any(|run| run.column(name).is_some()) {
-                return None;
-            }
-            // Of one run it is the run's own.
-            if let [run] = &runs[..] {
-                return run.columns().iter().find(|it| it.name == name).map(|it| it.values.clone());
-            }
-            let mut all = Vec::with_capacity(rows);
-            for run in &runs {
-                match run.column(name) {
-                    Some(values) => all.extend_from_slice(values),
-                    None => all.resize(all.len() + run.rows(), f64::NAN),
-                }
-            }
-            Some(all.into())
-        };
+        let joined = |name: &str| joined(&runs, rows, name);
         let measured = joined(&format!("measured_{}_um", quantity.name())).unwrap_or_default();
         let time_s = joined("time_s");
         let gauge_time_s = joined("gauge_time_s").filter(|_| time_s.is_some());
         let run = joined("run");
-        let mut file = Vec::with_capacity(rows);
-        let mut restart = Vec::with_capacity(rows);
-        for (number, run) in runs.iter().enumerate() {
-            let times = run.column("time_s");
-            let mut last_s = f64::NEG_INFINITY;
-            for row in 0..run.rows() {
-                let now_s = times.map_or(f64::NAN, |times| times[row]);
-                restart.push(row == 0 || now_s < last_s);
-                if !now_s.is_nan() {
-                    last_s = now_s;
-                }
-                file.push(number as u32);
-            }
-        }
-        let mut series = Vec::with_capacity(rows);
-        let mut number: u32 = 0;
-        for row in 0..rows {
-            // Where there is time, it says how far apart two runs are.
-            let new_run = row > 0
-                && time_s.is_none()
-                && run.as_ref().is_some_and(|run| {
-                    run[row] != run[row - 1] && !(run[row].is_nan() && run[row - 1].is_nan())
-                });
-            if row > 0 && (restart[row] || new_run) {
-                number += 1;
-            }
-            series.push(number);
-        }
+        let (file, restart) = places(&runs, rows);
+        // Where there is time, it says how far apart two runs are.
+        let series = series(&restart, run.as_deref().filter(|_| time_s.is_none()));
         let mut temperatures = Vec::new();
         let mut others = Vec::new();
         for column in runs[0].columns() {
@@ -158,20 +117,79 @@ impl Data {
         data.reversal_decay = reversal_decay(&data);
         predict(&mut data, &runs);
         if !data.used.iter().any(|&used| used) {
-            // Says which column is missing, where one is.
-            for name in trueup_machine::model::required_columns(machine) {
-                for run in &runs {
-                    if run.require(&name)?.iter().all(|value| value.is_nan()) {
-                        let rule = "has no value in any row, and the machine file needs it";
-                        return Err(run.bad(0, &name, rule));
-                    }
-                }
-            }
-            let name = format!("measured_{}_um", quantity.name());
-            return Err(runs[0].bad(0, &name, "has no row that is both measured and predicted"));
+            return Err(unusable(machine, &runs, quantity));
         }
         Ok(data)
     }
+}
+
+/// Returns a column of all runs, one after the other; NaN where a run has none.
+fn joined(runs: &[Unaided<'_>], rows: usize, name: &str) -> Option<Arc<[f64]>> {
+    if !runs.iter().any(|run| run.column(name).is_some()) {
+        return None;
+    }
+    // Of one run it is the run's own.
+    if let [run] = runs {
+        return run.columns().iter().find(|it| it.name == name).map(|it| it.values.clone());
+    }
+    let mut all = Vec::with_capacity(rows);
+    for run in runs {
+        match run.column(name) {
+            Some(values) => all.extend_from_slice(values),
+            None => all.resize(all.len() + run.rows(), f64::NAN),
+        }
+    }
+    Some(all.into())
+}
+
+/// Returns of each row the number of its file, and whether a record begins with it.
+fn places(runs: &[Unaided<'_>], rows: usize) -> (Vec<u32>, Vec<bool>) {
+    let (mut file, mut restart) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
+    for (number, run) in runs.iter().enumerate() {
+        let times = run.column("time_s");
+        let mut last_s = f64::NEG_INFINITY;
+        for row in 0..run.rows() {
+            let now_s = times.map_or(f64::NAN, |times| times[row]);
+            restart.push(row == 0 || now_s < last_s);
+            if !now_s.is_nan() {
+                last_s = now_s;
+            }
+            file.push(number as u32);
+        }
+    }
+    (file, restart)
+}
+
+/// Returns the number of the series of each row: one begins with a record, and where the number of the `run` changes.
+fn series(restart: &[bool], run: Option<&[f64]>) -> Vec<u32> {
+    let mut number: u32 = 0;
+    let of = |(row, restarts): (usize, &bool)| {
+        let is_new_run =
+            |run: &[f64]| run[row] != run[row - 1] && !(run[row].is_nan() && run[row - 1].is_nan());
+        if row > 0 && (*restarts || run.is_some_and(is_new_run)) {
+            number += 1;
+        }
+        number
+    };
+    restart.iter().enumerate().map(of).collect()
+}
+
+/// Returns the reason why no row can be used: a column without a value, where there is one.
+fn unusable(machine: &Machine, runs: &[Unaided<'_>], quantity: Quantity) -> BadInput {
+    for name in trueup_machine::model::required_columns(machine) {
+        for run in runs {
+            match run.require(&name) {
+                Err(missing) => return missing,
+                Ok(values) if values.iter().all(|value| value.is_nan()) => {
+                    let rule = "has no value in any row, and the machine file needs it";
+                    return run.bad(0, &name, rule);
+                }
+                Ok(_) => {}
+            }
+        }
+    }
+    let name = format!("measured_{}_um", quantity.name());
+    runs[0].bad(0, &name, "has no row that is both measured and predicted")
 }
 
 /// Returns the runs without what a bridge applied while they were measured, and what is reported of that.
