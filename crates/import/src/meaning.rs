@@ -194,7 +194,7 @@ fn with_unit(name: &str, dimension: Option<Dimension>) -> String {
 }
 
 /// Returns whether a word belongs to a number of rows.
-fn is_of_row(word: &String) -> bool {
+fn is_of_row(word: &str) -> bool {
     [ROW, NUMBER, FILLING].iter().any(|list| words::has(list, word))
 }
 
@@ -298,7 +298,7 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
         return known("run");
     }
     // `Punkt Nr.` counts rows, `Werkzeug Nr.` is a quantity.
-    let is_row_number = has(NUMBER) && words.iter().all(is_of_row);
+    let is_row_number = has(NUMBER) && words.iter().all(|word| is_of_row(word));
     if dimension.is_none() && (has(NOTHING) || is_row_number || slugged.is_empty()) {
         return Meaning::Nothing;
     }
