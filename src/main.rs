@@ -40,10 +40,10 @@
 #![no_std]
 #![no_main]
 
-mod alive;
 mod board;
 #[cfg(feature = "faults")]
 mod faults;
+mod liveness;
 mod plc;
 mod supervision;
 
@@ -57,11 +57,11 @@ defmt::timestamp!("{=u32} ms", NOW_MS.load(Ordering::Relaxed));
 mod app {
     use super::{NOW_MS, Ordering};
     use crate::{
-        alive::{self, Task},
         board::{
             self, Buffer, CanIn, CanOut, Idle, Rs485, Samples, SelfTest, Sent, SerialIn, SerialOut,
             ServiceSwitch, Silence, Thermometers,
         },
+        liveness::{self, Task},
         plc::Registers,
         supervision::{self, PERIOD_MS, Supervision},
     };
@@ -72,10 +72,10 @@ mod app {
     use trueup_core::{bridge::Input, calibration::Calibration, channels::RawTemperatures};
     use trueup_link::{frame::Frame, slcan::Port};
     use trueup_modbus::{
-        rtu::{Heard, Slave},
+        rtu::{RxByte, Slave},
         server::Response,
     };
-    use trueup_node::node::{Frames, Line, Node};
+    use trueup_node::node::{Frames, Interface, Node};
     use trueup_store::retained;
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
@@ -109,11 +109,11 @@ mod app {
     struct Local {
         serial_in: SerialIn,
         rs485: Rs485,
-        to_modbus: Producer<'static, Heard>,
+        to_modbus: Producer<'static, RxByte>,
         from_modbus: Consumer<'static, u8>,
         slave: Slave,
         silence: Silence,
-        heard: Consumer<'static, Heard>,
+        received: Consumer<'static, RxByte>,
         answer: Producer<'static, u8>,
         can_in_0: CanIn,
         can_in_1: CanIn,
@@ -138,7 +138,7 @@ mod app {
     }
 
     #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _],
-                    bytes_heard: Queue<Heard, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
+                    bytes_heard: Queue<RxByte, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
         let mut parts = board::start(cx.core, cx.device, cx.local.buffer);
@@ -147,16 +147,16 @@ mod app {
             defmt::error!("calibration refused: {}", error);
         }
         let node = placed(cx.local.place, parts.calibration.as_ref().ok(), faults.degrade());
-        faults.all().for_each(|fault| node.note(fault));
+        faults.all().for_each(|fault| node.set_fault(fault));
         node.note_start(parts.start);
         node.set_serial_number(parts.serial_number);
         node.note_commit(board::COMMIT);
         node.set_blob(parts.blob);
         if parts.is_older {
-            node.ask(Fault::OlderCalibration);
+            node.require_confirmation(Fault::OlderCalibration);
         }
         if parts.is_example {
-            node.bar_example();
+            node.inhibit_example();
         }
         if parts.self_test.is_damaged() {
             node.bar_damaged();
@@ -175,7 +175,7 @@ mod app {
         }
         node.set_writes(references.writes().clone());
         if !parts.is_example {
-            node.belong(kept.named, parts.chip);
+            node.check_identity(kept.named, parts.chip);
         }
         let off_s = parts.backup.restore(parts.retained);
         match retained::load(parts.retained) {
@@ -193,10 +193,10 @@ mod app {
         );
         // The time without power counts once: the next reset goes on from here.
         if off_s > 0 {
-            supervision.retain(&node.kept());
+            supervision.retain(&node.retained());
         }
         let (to_listen, from_serial) = cx.local.queue.split();
-        let (to_modbus, heard) = cx.local.bytes_heard.split();
+        let (to_modbus, received) = cx.local.bytes_heard.split();
         let (answer, from_modbus) = cx.local.bytes_said.split();
         defmt::info!("trueup bridge {} is up", env!("CARGO_PKG_VERSION"));
         #[cfg(feature = "faults")]
@@ -217,7 +217,7 @@ mod app {
             from_modbus,
             slave: Slave::new(parts.plc.unit, parts.plc.timing),
             silence: parts.plc.silence,
-            heard,
+            received,
             answer,
             can_in_0,
             can_in_1,
@@ -236,7 +236,7 @@ mod app {
     #[task(binds = DMA2_STREAM0, priority = 4,
            shared = [node, port, can_out, samples, temperatures])]
     fn sample(cx: sample::Context) {
-        let _turn = alive::enter(Task::Sample);
+        let _turn = liveness::enter(Task::Sample);
         let mut shared = cx.shared;
         let Some(block) = shared.samples.lock(Samples::take) else { return };
         let temperatures = block.temperatures.or_else(|| shared.temperatures.lock(Option::take));
@@ -252,26 +252,26 @@ mod app {
     /// A frame from the bus, in the first FIFO.
     #[task(binds = CAN1_RX0, priority = 3, local = [can_in_0], shared = [node])]
     fn can_receive_0(mut cx: can_receive_0::Context) {
-        let _turn = alive::enter(Task::CanReceive0);
+        let _turn = liveness::enter(Task::CanReceive0);
         while let Some(frame) = cx.local.can_in_0.receive() {
             // What is refused is counted there and shows in the log.
-            cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
+            cx.shared.node.lock(|node| node.receive(Interface::Can, &frame)).ok();
         }
     }
 
     /// A frame from the bus, in the second FIFO.
     #[task(binds = CAN1_RX1, priority = 3, local = [can_in_1], shared = [node])]
     fn can_receive_1(mut cx: can_receive_1::Context) {
-        let _turn = alive::enter(Task::CanReceive1);
+        let _turn = liveness::enter(Task::CanReceive1);
         while let Some(frame) = cx.local.can_in_1.receive() {
-            cx.shared.node.lock(|node| node.hear(Line::Can, &frame)).ok();
+            cx.shared.node.lock(|node| node.receive(Interface::Can, &frame)).ok();
         }
     }
 
     /// Bytes from the serial line: saved before more come, understood later.
     #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
-        let _turn = alive::enter(Task::SerialReceive);
+        let _turn = liveness::enter(Task::SerialReceive);
         while let Some(byte) = cx.local.serial_in.read() {
             // A full queue loses the byte; the line it belongs to is then refused and counted.
             cx.local.to_listen.enqueue(byte).ok();
@@ -288,10 +288,10 @@ mod app {
     /// Bytes become lines, lines become frames.
     #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
     fn listen(mut cx: listen::Context) {
-        let _turn = alive::enter(Task::Listen);
+        let _turn = liveness::enter(Task::Listen);
         while let Some(byte) = cx.local.from_serial.dequeue() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
-                cx.shared.node.lock(|node| node.hear(Line::Serial, &frame)).ok();
+                cx.shared.node.lock(|node| node.receive(Interface::Serial, &frame)).ok();
             }
         }
         rtic::pend(TRANSMIT);
@@ -300,10 +300,10 @@ mod app {
     /// Bytes from the PLC, each with its time, and those of an answer to it.
     #[task(binds = USART3, priority = 6, local = [rs485, to_modbus, from_modbus])]
     fn modbus_line(cx: modbus_line::Context) {
-        let _turn = alive::enter(Task::ModbusLine);
-        while let Some(heard) = cx.local.rs485.take() {
+        let _turn = liveness::enter(Task::ModbusLine);
+        while let Some(received) = cx.local.rs485.take() {
             // A full queue loses the byte; the checksum of its frame tells.
-            cx.local.to_modbus.enqueue(heard).ok();
+            cx.local.to_modbus.enqueue(received).ok();
         }
         cx.local.rs485.send(|| cx.local.from_modbus.dequeue());
         rtic::pend(Interrupt::TIM5);
@@ -311,12 +311,12 @@ mod app {
 
     /// Bytes become requests, requests are answered.
     #[task(binds = TIM5, priority = 2, shared = [node],
-           local = [slave, silence, heard, answer, response: Response = Response::new()])]
+           local = [slave, silence, received, answer, response: Response = Response::new()])]
     fn modbus(cx: modbus::Context) {
-        let _turn = alive::enter(Task::Modbus);
+        let _turn = liveness::enter(Task::Modbus);
         let it = cx.local;
-        while let Some(heard) = it.heard.dequeue() {
-            it.slave.hear(heard);
+        while let Some(received) = it.received.dequeue() {
+            it.slave.push(received);
         }
         // Read behind the bytes: no time of theirs is later.
         let now_us = it.silence.now_us();
@@ -333,10 +333,10 @@ mod app {
     #[task(binds = SysTick, priority = 2, local = [supervision, service_switch, self_test],
            shared = [node, port, can_out, samples, temperatures])]
     fn supervise(cx: supervise::Context) {
-        let turn = alive::enter(Task::Supervise);
+        let turn = liveness::enter(Task::Supervise);
         let (mut shared, it, self_test) = (cx.shared, cx.local.supervision, cx.local.self_test);
         if let Some(code) = shared.samples.lock(|samples| samples.internal_reference()) {
-            shared.node.lock(|node| node.hear_supply(code));
+            shared.node.lock(|node| node.receive_supply(code));
         }
         let is_closed = cx.local.service_switch.is_closed();
         shared.node.lock(|node| node.read_service_switch(is_closed));
@@ -353,30 +353,30 @@ mod app {
         let (now, quality) = shared.node.lock(|node| (node.now().0, node.last().quality));
         let (zero, standing, supply) =
             shared.node.lock(|node| (node.take_zero(), node.take_standing(), node.supply_basis()));
-        if !it.keep(zero, standing, supply) {
-            shared.node.lock(|node| node.note(Fault::Store));
+        if !it.store(zero, standing, supply) {
+            shared.node.lock(|node| node.set_fault(Fault::Store));
         }
         // Looked at and stored outside the lock: neither holds up a tick.
         if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
-            let outcome = it.keep_calibration(&mut load);
+            let outcome = it.store_calibration(&mut load);
             shared.node.lock(|node| node.end_load(load, outcome));
         }
         if let Some(blob) = shared.node.lock(|node| node.take_drop().then(|| node.blob())) {
-            let is_stored = it.keep_running(blob);
+            let is_stored = it.store_running(blob);
             shared.node.lock(|node| node.end_drop(is_stored));
         }
         #[cfg(feature = "slots")]
         it.update_firmware(&mut shared.node);
         let bus = shared.can_out.lock(CanOut::state);
         shared.node.lock(|node| {
-            node.note_if(bus.warning, Fault::CanWarning);
-            node.note_if(bus.passive, Fault::CanPassive);
-            node.note_if(bus.off, Fault::CanOff);
+            node.set_fault_if(bus.warning, Fault::CanWarning);
+            node.set_fault_if(bus.passive, Fault::CanPassive);
+            node.set_fault_if(bus.off, Fault::CanOff);
         });
         if let Some(question) = shared.node.lock(|node| node.take_confirmed())
             && !it.keep_answer(question, shared.node.lock(|node| node.blob()))
         {
-            shared.node.lock(|node| node.note(Fault::Store));
+            shared.node.lock(|node| node.set_fault(Fault::Store));
         }
         while let Some(write) = shared.node.lock(|node| node.take_write()) {
             let stored = it.keep_write(&write);
@@ -384,7 +384,7 @@ mod app {
         }
         if shared.node.lock(|node| node.take_restart()) {
             defmt::info!("restart, as a CANopen master asks");
-            it.retain(&shared.node.lock(|node| node.kept()));
+            it.retain(&shared.node.lock(|node| node.retained()));
             // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
             shared.port.lock(Port::close);
             it.announce_restart();
@@ -404,7 +404,7 @@ mod app {
         // Reaching this line shows that no task above hangs; the turns of those below are counted.
         it.feed_watchdog(&turn, quality);
         if it.log_is_due() {
-            it.retain(&shared.node.lock(|node| node.kept()));
+            it.retain(&shared.node.lock(|node| node.retained()));
             #[cfg(feature = "slots")]
             if let Some(slots) = it.slots() {
                 shared.node.lock(|node| node.note_slots(slots));
@@ -418,7 +418,7 @@ mod app {
     /// Sends what a CANopen node has to say in addition to the offsets. Nothing of it is in the tick.
     #[task(binds = EXTI3, priority = 2, shared = [node, port, can_out])]
     fn service(cx: service::Context) {
-        let _turn = alive::enter(Task::Service);
+        let _turn = liveness::enter(Task::Service);
         let mut shared = cx.shared;
         // It stays due, and the next tick asks again.
         if shared.can_out.lock(CanOut::is_busy) {
@@ -432,7 +432,7 @@ mod app {
     /// Lines to the serial line, as much as its DMA takes at once.
     #[task(binds = DMA2_STREAM7, priority = 3, shared = [serial_out, port])]
     fn transmit(cx: transmit::Context) {
-        let _turn = alive::enter(Task::Transmit);
+        let _turn = liveness::enter(Task::Transmit);
         let now = NOW_MS.load(Ordering::Relaxed);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
         let sent = out.lock(|out| out.send(now, |piece| port.lock(|port| port.take(piece))));
@@ -444,7 +444,7 @@ mod app {
     /// The same where the DMA is dead: a few bytes are polled out, as long as nothing else waits.
     #[task(binds = EXTI1, priority = 1, shared = [serial_out, port])]
     fn poll(cx: poll::Context) {
-        let _turn = alive::enter(Task::Transmit);
+        let _turn = liveness::enter(Task::Transmit);
         let (mut out, mut port) = (cx.shared.serial_out, cx.shared.port);
         let sent = out.lock(|out| out.poll_out(|piece| port.lock(|port| port.take(piece))));
         if sent == Sent::More {
@@ -455,7 +455,7 @@ mod app {
     /// One thermometer is asked. Its bus is polled: no task waits below it.
     #[task(binds = EXTI2, priority = 1, local = [thermometers], shared = [temperatures])]
     fn thermometers(mut cx: thermometers::Context) {
-        let _turn = alive::enter(Task::Thermometers);
+        let _turn = liveness::enter(Task::Thermometers);
         if let Some(all) = cx.local.thermometers.turn() {
             cx.shared.temperatures.lock(|temperatures| *temperatures = Some(all));
         }

@@ -24,9 +24,9 @@ impl<N: Mutex<T = &'static mut Node<'static>>> Bridge for Registers<N> {
 
     fn take(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
         let block = Block::examine(registers);
-        if self.0.lock(|node| node.hear_block(&block))? {
+        if self.0.lock(|node| node.receive_block(&block))? {
             for value in block.values() {
-                self.0.lock(|node| node.hear_value(value));
+                self.0.lock(|node| node.receive_value(value));
             }
         }
         Ok(())

@@ -12,8 +12,8 @@ use trueup_store::{
 };
 
 use crate::{
-    alive::{Roll, Turn},
     board::{Backup, BrownOut, Flash, Lamp, Store, Watchdog, references},
+    liveness::{LivenessMonitor, TurnGuard},
 };
 
 /// Milliseconds between two turns.
@@ -32,7 +32,7 @@ pub struct Supervision {
     retained: &'static mut retained::Copies,
     /// And a power cut.
     backup: Backup,
-    roll: Roll,
+    roll: LivenessMonitor,
     /// A task does: from then on the watchdog is not fed.
     hangs: bool,
     blocks: u32,
@@ -60,7 +60,7 @@ impl Supervision {
             store,
             retained,
             backup,
-            roll: Roll::default(),
+            roll: LivenessMonitor::default(),
             hangs: false,
             blocks: 0,
             silent: false,
@@ -71,13 +71,13 @@ impl Supervision {
     }
 
     /// Keeps what is to outlast a reset, and a power cut. Once a second is often enough: no heat changes faster.
-    pub fn retain(&mut self, kept: &retained::Kept) {
+    pub fn retain(&mut self, kept: &retained::RetainedState) {
         retained::save(self.retained, kept, self.backup.now_s());
-        self.backup.keep(self.retained);
+        self.backup.store(self.retained);
     }
 
     /// Looks at a calibration that has come whole, and stores it for the next start.
-    pub fn keep_calibration(&mut self, load: &mut Load<'_>) -> Outcome {
+    pub fn store_calibration(&mut self, load: &mut Load<'_>) -> Outcome {
         let blob = match load.check() {
             Ok(blob) => blob,
             Err(error) => {
@@ -86,7 +86,7 @@ impl Supervision {
             }
         };
         let Self { store, watchdog, .. } = self;
-        if !store.as_mut().is_some_and(|store| store.keep(blob, || watchdog.feed())) {
+        if !store.as_mut().is_some_and(|store| store.store(blob, || watchdog.feed())) {
             defmt::error!("the calibration is NOT stored");
             return Outcome::NotStored;
         }
@@ -99,7 +99,7 @@ impl Supervision {
     pub fn keep_answer(&mut self, question: Fault, blob: &[u8]) -> bool {
         defmt::info!("confirmed: fault {=u8}", question as u8);
         // It is the newest again.
-        question != Fault::OlderCalibration || self.keep_running(blob)
+        question != Fault::OlderCalibration || self.store_running(blob)
     }
 
     /// Returns whether no block came since the last turn; a change is logged.
@@ -118,20 +118,20 @@ impl Supervision {
     }
 
     /// Stores what holds for the calibration, where that has changed; `false`: it was not stored.
-    pub fn keep(&mut self, zero: Option<Zero>, standing: Option<Standing>, supply: Level) -> bool {
+    pub fn store(&mut self, zero: Option<Zero>, standing: Option<Standing>, supply: Level) -> bool {
         if zero == Some(Zero::Unchanged) {
             defmt::warn!(
                 "zero: the reference stays, an input is missing, the error is too large or the same"
             );
         }
-        standing.is_none_or(|standing| references::keep(&mut self.references, standing, supply))
+        standing.is_none_or(|standing| references::store(&mut self.references, standing, supply))
     }
 
     /// Stores the running calibration once more, so that what was loaded after it is not used; `false`: it was not
     /// stored.
-    pub fn keep_running(&mut self, blob: &[u8]) -> bool {
+    pub fn store_running(&mut self, blob: &[u8]) -> bool {
         let Self { store, watchdog, .. } = self;
-        store.as_mut().is_some_and(|store| store.keep(blob, || watchdog.feed()))
+        store.as_mut().is_some_and(|store| store.store(blob, || watchdog.feed()))
     }
 
     /// Stores who has written what; gives it with its number, or `None`: it was not stored.
@@ -149,11 +149,11 @@ impl Supervision {
     }
 
     /// Feeds it, unless a task hangs; then the next start finds the one that this turn has interrupted.
-    pub fn feed_watchdog(&mut self, turn: &Turn, quality: Quality) {
+    pub fn feed_watchdog(&mut self, turn: &TurnGuard, quality: Quality) {
         if self.roll.call(PERIOD_MS) && !self.hangs {
             defmt::error!("a task hangs");
             self.hangs = true;
-            turn.accuse_interrupted();
+            turn.blame_preempted();
         }
         if !self.hangs {
             self.watchdog.feed();

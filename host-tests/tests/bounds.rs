@@ -12,7 +12,7 @@ use trueup_bounds::{
 };
 use trueup_checks::bounds;
 use trueup_emulator::{firmware, setup};
-use trueup_store::writes::What;
+use trueup_store::writes::WriteKind;
 
 fn image() -> &'static PathBuf {
     static IMAGE: OnceLock<PathBuf> = OnceLock::new();
@@ -64,7 +64,7 @@ fn responses_are_below_their_deadlines_where_it_is_shown() {
 #[test]
 fn words_in_the_log_are_as_long_as_their_bound() {
     let declared = FIRMWARE.copies.iter().find(|it| it.at.function == WORDS);
-    let longest = What::ALL.map(|what| what.word().len()).into_iter().max();
+    let longest = WriteKind::ALL.map(|what| what.word().len()).into_iter().max();
     assert_eq!(declared.map(|it| it.bytes as usize), longest);
 }
 

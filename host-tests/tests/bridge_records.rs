@@ -23,12 +23,12 @@ use trueup_fit::{elongation, pitch, thermal};
 use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     compile,
     file::Quantity,
     inputs::{CountScale, LinearInput, TemperatureKind},
 };
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_twin::{
     Scenario,
     machine::{Command, Machine as Truth},
@@ -134,7 +134,7 @@ impl<'a> Loop<'a> {
                 for frame in
                     [frames::control(control, self.counter), frames::position(at, self.counter)]
                 {
-                    self.node.hear(Line::Can, &frame).expect("in order");
+                    self.node.receive(Interface::Can, &frame).expect("in order");
                 }
                 self.counter = self.counter.wrapping_add(1);
             }
@@ -259,8 +259,9 @@ fn a_spindles_gain_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("gain", 1.25, &gains);
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(SPINDLE_BELIEVED);
-        let (run, _) = Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation))
-            .expect("a record");
+        let (run, _) =
+            Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Elongation))
+                .expect("a record");
         let report = elongation::fit(&[run], Some(&machine), &elongation::Options::default())
             .expect("it can be fitted");
         let it = report.parameter("um_per_count").expect("fitted");
@@ -283,8 +284,8 @@ fn an_axiss_expansion_is_the_same_with_the_bridge_off_on_and_switched() {
     agree("slope", 12.5, &slopes);
     let fitted = records.each_ref().map(|(engaged, run)| {
         let machine = machine(AXIS_BELIEVED);
-        let (run, _) =
-            Unaided::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx)).expect("a record");
+        let (run, _) = Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(Quantity::Dx))
+            .expect("a record");
         let axis = trueup_machine::file::LinearAxis::X;
         let report = thermal::fit(&[run], axis, Some(&machine), &thermal::Options::default())
             .expect("it can be fitted");
@@ -310,7 +311,7 @@ fn a_screw_that_was_measured_before_is_corrected_between_its_points_from_where_i
         }
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("laser.csv")).expect("a run file");
-    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
     let axis = trueup_machine::file::LinearAxis::X;
     let fitted = pitch::fit(&run, axis, &pitch::Options::default());
     let edit = fitted.expect("the rules are kept").report.edit;

@@ -89,7 +89,7 @@ fn left_by_the_board(
     let image = firmware::build(Board::Virtual).expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
     let mut front_end = FrontEnd::new(DIVIDER, 1);
-    let (mut stand_in, heard) = (StandIn::default(), ReceivedFrames::default());
+    let (mut stand_in, received) = (StandIn::default(), ReceivedFrames::default());
     let mut offsets = OffsetReceiver::new();
     let replay = Replay::new(run, machine, 1.0).expect("it can be replayed");
     let times = run.column("time_s").map_or_else(
@@ -123,7 +123,7 @@ fn left_by_the_board(
             let temperatures = between(from, now.temperatures, share);
             let blocks: Vec<Block> = (0..batch)
                 .map(|_| {
-                    let mut frames = stand_in.frames(&now, &heard);
+                    let mut frames = stand_in.frames(&now, &received);
                     if ms.is_multiple_of(20) {
                         let control = Control { engage: ms >= 60, ..Control::REFERENCED };
                         frames[4] = Some(frames::control(control, counter));

@@ -28,7 +28,7 @@ use trueup_link::{
     slcan::{Client, Port},
 };
 use trueup_machine::{MachineFile, RunFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::{
     calibration::{self, MAX_OFFSET_NM, MAX_SIZE, MAX_SLEW_NM_PER_S},
     reference::References,
@@ -203,7 +203,7 @@ fn in_service<'a>() -> Node<'a> {
     let mut node = Node::new(None, false);
     for counter in 0..4 {
         let control = Control { service: true, ..Control::REFERENCED };
-        node.hear(Line::Can, &frames::control(control, counter)).expect("it is whole");
+        node.receive(Interface::Can, &frames::control(control, counter)).expect("it is whole");
     }
     node
 }
@@ -225,7 +225,7 @@ fn any_sdo_requests_are_answered_or_aborted() {
         node.set_buffer(&mut buffer);
         for request in bytes.as_chunks::<8>().0 {
             let frame = Frame::new(0x601, request).expect("8 bytes");
-            let _ = node.hear(Line::Can, &frame);
+            let _ = node.receive(Interface::Can, &frame);
             for _ in 0..4 {
                 node.tick(5, Default::default());
                 if let Some(answer) = node.service() {

@@ -131,7 +131,7 @@ fn the_real_linuxcnc_corrects_the_model_within_the_stated_difference() -> Result
     assert_eq!(files(&export).len(), 3);
     let lines = |name: usize| export.files[name].text.lines().count();
     assert_eq!([lines(1), lines(2)], [12, 1]);
-    assert!((200..=linuxcnc::MOST_LINES).contains(&lines(0)), "thinned from 400: {}", lines(0));
+    assert!((200..=linuxcnc::MAX_LINES).contains(&lines(0)), "thinned from 400: {}", lines(0));
 
     let moves = moves();
     let added = run(control, &files(&export), &moves)?;

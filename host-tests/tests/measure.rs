@@ -37,7 +37,7 @@ fn the_vectors_lead_through_every_quality() {
     let qualities: BTreeSet<u8> = (0..ALL_FAULTS)
         .map(|_| {
             run.prepare();
-            run.hear();
+            run.receive();
             run.tick();
             run.node().last().quality as u8
         })

@@ -32,7 +32,7 @@ use trueup_modbus::{
     rtu::{Slave, Timing},
     server::{Bridge, Busy, Response, Transport, answer},
 };
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 
 /// The machine file's default.
 const SLEW_NM_PER_MS: f64 = 20.0;
@@ -103,7 +103,7 @@ impl Bridge for Direct<'_, '_> {
     }
 
     fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.hear_registers(block)
+        self.0.receive_registers(block)
     }
 }
 
@@ -165,7 +165,7 @@ impl Plc {
 
 /// Counts of a run.
 #[derive(Debug, Default)]
-struct Told {
+struct Counts {
     cuts: [u32; 4],
     used: u32,
     live: u32,
@@ -184,7 +184,7 @@ struct World<'b> {
     since: u64,
     /// Offsets from the board in the last moments, in nm.
     said: VecDeque<Option<[i32; 3]>>,
-    told: Told,
+    told: Counts,
 }
 
 impl World<'_> {
@@ -226,15 +226,15 @@ impl World<'_> {
             bytes.truncate(goes);
         }
         for event in bytes.iter().filter_map(|byte| client.receive(*byte)) {
-            hub.hear(now, &event);
+            hub.receive(now, &event);
         }
         if self.now.is_multiple_of(TURN_MS) {
             hub.refresh(now);
             let lines: Vec<u8> =
                 hub.frames().iter().flat_map(|it| encode_line(it).into_bytes()).collect();
             let goes = if self.cut == Cut::Bridge { 0 } else { lines.len() };
-            for heard in lines[..goes].iter().filter_map(|byte| port.receive(*byte)) {
-                self.node.hear(Line::Serial, &heard).ok();
+            for received in lines[..goes].iter().filter_map(|byte| port.receive(*byte)) {
+                self.node.receive(Interface::Serial, &received).ok();
             }
         }
         Ok(())
@@ -342,7 +342,7 @@ fn open(port: &mut Port) {
 }
 
 /// This many cuts; what was counted.
-fn cuts(path: Path, count: u32, seed: u64) -> Result<Told> {
+fn cuts(path: Path, count: u32, seed: u64) -> Result<Counts> {
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("machine.toml");
     let machine = FAST_MACHINE.replace("slew_um_per_s = 1000.0", "slew_um_per_s = 20.0");
@@ -361,7 +361,7 @@ fn cuts(path: Path, count: u32, seed: u64) -> Result<Told> {
         cut: Cut::None,
         since: 0,
         said: VecDeque::new(),
-        told: Told::default(),
+        told: Counts::default(),
     };
     if let Path::Gateway { port, .. } = &mut world.path {
         open(port);

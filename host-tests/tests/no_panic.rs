@@ -2,7 +2,7 @@
 //! a frame of the CNC or of a CANopen master, or with a block of a PLC.
 //!
 //! Shown on the images that are flashed and booted, after the linker: no chain of calls leads from
-//! `Node::tick`, `Node::hear`, `Node::service`, `Node::said`, `Node::hear_block` or `Node::hear_value` to a function of the
+//! `Node::tick`, `Node::receive`, `Node::service`, `Node::said`, `Node::receive_block` or `Node::receive_value` to a function of the
 //! panic machinery, to a trap, or to a call through a pointer, behind which anything could stand. So no input whatever (nor a
 //! calibration that was loaded) makes them stop there. This does not show that the values are
 //! right, that loops end, that the stack suffices; the first two are for the property tests of the

@@ -17,7 +17,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver, slcan::Event};
 use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_pipe::{Block, FRAMES};
 
 /// Blocks handed over at once.
@@ -99,7 +99,7 @@ fn on_the_host(blocks: &[Block]) -> Sent {
     for block in blocks {
         for frame in block.frames.iter().flatten() {
             // What is refused is part of this life.
-            node.hear(Line::Can, frame).ok();
+            node.receive(Interface::Can, frame).ok();
         }
         let input = Input {
             codes: Some(&block.codes),

@@ -17,7 +17,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frame::Frame, frames, receiver::OffsetReceiver};
 use trueup_machine::{Compiled, Machine, MachineFile, RunFile, compile, predict::Predictor};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_pipe::{Block, FRAMES};
 
 fn machine(text: &str) -> Machine {
@@ -176,7 +176,7 @@ fn the_two_hours_of_paper_0_at_24000_rpm() {
         let last = live(&mut board, &mut offsets, &blocks).pop().expect("an output a millisecond");
         for block in &blocks {
             for frame in block.frames.iter().flatten() {
-                node.hear(Line::Can, frame).expect("whole frames");
+                node.receive(Interface::Can, frame).expect("whole frames");
             }
             let codes = Some(&block.codes);
             node.tick(1, Input { codes, speed: block.speed, temperatures: None });
@@ -219,7 +219,7 @@ fn half_a_millimetre_at_30_degrees_to_the_nanometre() {
     let mut node = Node::new(Some(compiled.calibration()), false);
     for block in &blocks {
         for frame in block.frames.iter().flatten() {
-            node.hear(Line::Can, frame).expect("whole frames");
+            node.receive(Interface::Can, frame).expect("whole frames");
         }
         let temperatures = Some(&block.temperatures);
         node.tick(1, Input { codes: None, speed: None, temperatures });

@@ -146,18 +146,18 @@ fn tick(
     text: &mut String<4096>,
 ) {
     let (ticks, costs) = costs.split_at_mut(TICKS);
-    let (heard, costs) = costs.split_at_mut(TICKS);
+    let (received, costs) = costs.split_at_mut(TICKS);
     let both = &mut costs[..TICKS];
     let mut run = Vectors::new(*calibration, 1, false);
     for _ in 0..WARM_UP {
         run.prepare();
-        run.hear();
+        run.receive();
         run.tick();
     }
     let mut live = 0;
-    for ((tick, hear), both) in ticks.iter_mut().zip(heard.iter_mut()).zip(both.iter_mut()) {
+    for ((tick, hear), both) in ticks.iter_mut().zip(received.iter_mut()).zip(both.iter_mut()) {
         run.prepare();
-        *hear = cost(&mut || run.hear());
+        *hear = cost(&mut || run.receive());
         *tick = cost(&mut || {
             black_box(&run.tick());
         });
@@ -166,7 +166,7 @@ fn tick(
     }
     let [of_tick, of_hear, of_both, of_live] = names;
     say(text, of_tick, ticks);
-    say(text, of_hear, heard);
+    say(text, of_hear, received);
     say(text, of_both, both);
     writeln!(text, "{of_live} {live} {TICKS}").expect("space");
 }

@@ -166,7 +166,7 @@ pub struct Parts {
     pub service_switch: ServiceSwitch,
     pub calibration: Result<Calibration<'static>, BlobError>,
     /// The store of references and writes, and what it holds for the start.
-    pub references: (References<Flash>, references::Kept),
+    pub references: (References<Flash>, references::StoredState),
     pub faults: Faults,
     /// How the board came to run.
     pub start: Start,

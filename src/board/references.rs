@@ -17,16 +17,16 @@ pub fn open<F: NorFlash>(
     flash: F,
     calibration: u32,
     mut feed: impl FnMut(),
-) -> (References<F>, Kept) {
+) -> (References<F>, StoredState) {
     let (mut references, found) = References::open_in_parts(flash, calibration, &mut feed);
     feed();
     let Found { standing, is_new, taken, supply, named, foreign, damaged } = found;
     match standing {
         Some((number, Standing { reference, is_offered: true, .. })) => {
-            say(number, &reference, defmt::intern!("offered"));
+            report(number, &reference, defmt::intern!("offered"));
         }
         Some((number, Standing { reference, .. })) if reference != Reference::default() => {
-            say(number, &reference, defmt::intern!("taken up"));
+            report(number, &reference, defmt::intern!("taken up"));
         }
         _ => defmt::info!("no reference is stored for this calibration"),
     }
@@ -45,12 +45,12 @@ pub fn open<F: NorFlash>(
         Err(error) => defmt::error!("dead: store of references, {}", error),
     }
     let standing = standing.map(|(_, standing)| (standing, supply));
-    (references, Kept { standing, taken, named })
+    (references, StoredState { standing, taken, named })
 }
 
 /// Content of the store at the start.
 #[derive(Clone, Copy, Default)]
-pub struct Kept {
+pub struct StoredState {
     /// Standing of the calibration's reference, and the level of the supply that it counts from.
     pub standing: Option<(Standing, Level)>,
     /// The write that has taken the reference.
@@ -60,7 +60,7 @@ pub struct Kept {
 }
 
 /// Stores what holds for the calibration from now on; `false`: it is not stored.
-pub fn keep<F: NorFlash>(
+pub fn store<F: NorFlash>(
     references: &mut References<F>,
     standing: Standing,
     supply: Level,
@@ -70,11 +70,11 @@ pub fn keep<F: NorFlash>(
         Ok(number) => {
             let (offered, stored) = (defmt::intern!("offered"), defmt::intern!("stored"));
             let what = if standing.is_offered { offered } else { stored };
-            say(number, &standing.reference, what);
+            report(number, &standing.reference, what);
             true
         }
         Err(error) => {
-            say(0, &standing.reference, defmt::intern!("NOT stored"));
+            report(0, &standing.reference, defmt::intern!("NOT stored"));
             defmt::error!("the reference is lost with the power: {}", error);
             false
         }
@@ -97,7 +97,7 @@ pub fn keep_write<F: NorFlash>(references: &mut References<F>, write: &Write) ->
 }
 
 /// `what` is a number in the image: a text would be sent letter by letter, with interrupts off.
-fn say(number: u32, reference: &Reference, what: defmt::Str) {
+fn report(number: u32, reference: &Reference, what: defmt::Str) {
     let [x, y, z] = reference.axes.map(|axis| axis.rounded().0);
     defmt::info!(
         "reference {=u32} {=istr}: elongation {=i32} nm, X {=i32}, Y {=i32}, Z {=i32} nm",

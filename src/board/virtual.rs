@@ -50,7 +50,7 @@ use trueup_node::start::Start;
 use trueup_pipe::{self as pipe, Record};
 use trueup_store::calibration;
 
-use crate::alive::{self, Task};
+use crate::liveness::{self, Task};
 
 use super::{
     BLOCK, Block, CanState, Faults, Parts, Plc, Sent, TEMPERATURES, references, reset_ram,
@@ -91,7 +91,7 @@ pub fn start(
     device: pac::Peripherals,
     buffer_of_load: &'static mut super::Buffer,
 ) -> Parts {
-    alive::stay(Task::Start);
+    liveness::stay(Task::Start);
     // QEMU has no RCC: its oscillator bits never come up, and the HAL waits for none on HSI.
     let mut rcc = device.RCC.freeze(rcc::Config::hsi());
     let port_a = device.GPIOA.split(&mut rcc);
@@ -362,7 +362,7 @@ impl Store {
     }
 
     /// Stores a calibration. Returns whether it was stored.
-    pub fn keep(&mut self, blob: &[u8], _feed: impl FnMut()) -> bool {
+    pub fn store(&mut self, blob: &[u8], _feed: impl FnMut()) -> bool {
         semihosting::fs::write(c"loaded.bin", blob).is_ok()
     }
 }
@@ -385,9 +385,9 @@ pub struct Idle {
 
 impl Idle {
     pub fn run(&mut self) -> ! {
-        alive::stay(Task::Idle);
+        liveness::stay(Task::Idle);
         loop {
-            alive::beat(Task::Idle);
+            liveness::heartbeat(Task::Idle);
             let mut left = Self::wait_for_blocks() as usize;
             while left > 0 {
                 let count = left.min(BLOCKS_AT_ONCE);
@@ -435,18 +435,18 @@ impl Idle {
     fn one_block(block: &pipe::Block) {
         let now = NOW_MS.load(Ordering::Relaxed).wrapping_add(1);
         NOW_MS.store(now, Ordering::Relaxed);
-        let mut heard = false;
+        let mut received = false;
         cortex_m::interrupt::free(|cs| {
             let mut from_bus = FROM_BUS.borrow(cs).borrow_mut();
             for frame in block.frames.into_iter().flatten() {
-                heard |= from_bus.push_back(frame).is_ok();
+                received |= from_bus.push_back(frame).is_ok();
             }
             SWITCH_IS_CLOSED.store(block.service_switch, Ordering::Relaxed);
             let codes: [_; BLOCK] = block.codes;
             let temperatures: Option<[_; TEMPERATURES]> = Some(block.temperatures);
             ARRIVED.borrow(cs).replace(Some(Block { codes, speed: block.speed, temperatures }));
         });
-        if heard {
+        if received {
             raise(|| NVIC::pend(Interrupt::CAN1_RX0));
         }
         raise(|| NVIC::pend(Interrupt::DMA2_STREAM0));

@@ -7,7 +7,7 @@ use serde::Serialize;
 use trueup_fit::{Report, elongation, thermal, warmup};
 use trueup_machine::{
     BadInput, Machine, MachineFile, RunFile,
-    applied::{Factor, Unaided},
+    applied::{Factor, Uncompensated},
     file::{ElongationSource, LinearAxis, ThermalMode},
 };
 use trueup_page::within;
@@ -69,7 +69,7 @@ pub(crate) fn advise(
         );
         return Ok((advice, None));
     };
-    let (unaided, _) = Unaided::of(Cow::Borrowed(off), None, Some(pair.quantity))?;
+    let (unaided, _) = Uncompensated::of(Cow::Borrowed(off), None, Some(pair.quantity))?;
     let runs = [unaided];
     let Some((section, report)) = fitted(pair, machine, &runs)? else {
         advice.sentences.push(
@@ -159,7 +159,7 @@ pub(crate) fn digits(number: f64) -> String {
 fn fitted(
     pair: &Pair,
     machine: &Machine,
-    runs: &[Unaided<'_>],
+    runs: &[Uncompensated<'_>],
 ) -> Result<Option<(String, Report)>, BadInput> {
     let Some(axis) = pair.quantity.axis() else {
         return Ok(match machine.spindle.source {

@@ -6,12 +6,12 @@ use serde::Serialize;
 
 use trueup_machine::{
     BadInput, Location, Machine, RunFile,
-    applied::{Applied, Pairs, Unaided, predicted_um},
+    applied::{Applied, Pairs, Uncompensated, predicted_um},
     file::{Quantity, TOOL_COLUMN},
 };
 use trueup_numerics::{
     repeats::{self, arrivals, gross, places},
-    robust::{FEWEST_IN_SERIES, in_series},
+    robust::{MIN_IN_SERIES, in_series},
 };
 
 use crate::Size;
@@ -88,7 +88,7 @@ fn alone_at_place(run: &RunFile, name: &str, um: &[f64]) -> Vec<usize> {
     for (row, stop) in rows.iter().zip(&stops) {
         of_stop.entry(*stop).or_default().push(*row);
     }
-    if of_stop.values().all(|rows| rows.len() >= FEWEST_IN_SERIES) {
+    if of_stop.values().all(|rows| rows.len() >= MIN_IN_SERIES) {
         let alone = of_stop.into_values().flat_map(|rows| {
             let numbers: Vec<f64> = (0..rows.len()).map(|number| number as f64).collect();
             let um: Vec<f64> = rows.iter().map(|row| um[*row]).collect();
@@ -118,7 +118,7 @@ struct Side {
 impl Side {
     fn of(run: &RunFile, quantity: Quantity, machine: Option<&Machine>) -> Result<Self, BadInput> {
         let measured_um = run.require(&format!("measured_{}_um", quantity.name()))?;
-        let unaided = |machine| Unaided::of(Cow::Borrowed(run), machine, Some(quantity)).ok();
+        let unaided = |machine| Uncompensated::of(Cow::Borrowed(run), machine, Some(quantity)).ok();
         // Another calibration is compared all the same: without the file the tool points down.
         let unaided = machine.and_then(|it| unaided(Some(it))).or_else(|| unaided(None));
         let offset_um = match unaided {

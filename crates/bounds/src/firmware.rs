@@ -60,13 +60,13 @@ pub const FIRMWARE: Table = Table {
 
 const LOOPS: &[LoopBound] = &[
     // The tasks.
-    bound("alive::Turn", "fetch_or", Times(2), EXCLUSIVE),
-    bound("alive::Roll::call", "swap", Times(2), EXCLUSIVE),
+    bound("liveness::TurnGuard", "fetch_or", Times(2), EXCLUSIVE),
+    bound("liveness::LivenessMonitor::call", "swap", Times(2), EXCLUSIVE),
     bound("app::can_receive", "while let Some(frame)", Times(3), "a FIFO of three (RM0090 32.7.4)"),
     bound("app::serial_receive", "while let Some(byte)", Byte, "the ring of the DMA"),
     bound("app::listen", "while let Some(byte)", Byte, "the queue of bytes"),
     bound("app::modbus_line", "enqueue", Times(2), "a byte received, one in the shift register"),
-    bound("app::modbus", "while let Some(heard)", Byte, "the queue of bytes"),
+    bound("app::modbus", "while let Some(received)", Byte, "the queue of bytes"),
     bound("app::modbus", "for byte in &*it.response", Times(61), "the longest answer, `ANSWER`"),
     bound("app::supervise", "take_write", Times(4), "writes that wait, `node/src/node/writes.rs`"),
     bound("CanOut::send", "if !self.on_the_bus", Times(2), "the frames of a tick, `Frames`"),
@@ -106,17 +106,22 @@ const LOOPS: &[LoopBound] = &[
     bound("log::write_part", "", Length { argument: 3, per: 1, more: 0 }, "a byte each"),
     bound("writes::identity", "", Times(96), "the names of a machine and a board"),
     bound("retained::save", "", Times(2), "two copies"),
-    bound("retained::encode", "", Times(21), "`MOST_LAGS`, `core/src/heat_memory.rs`"),
+    bound("retained::encode", "", Times(21), "`MAX_LAGS`, `core/src/heat_memory.rs`"),
     bound("crc32::update_table", "", Length { argument: 2, per: 1, more: 0 }, "a byte each"),
     // The correction.
-    bound("Bridge::heat_up", "", Length { argument: 1, per: 1, more: 0 }, "a round a millisecond"),
+    bound(
+        "Bridge::step_thermal",
+        "",
+        Length { argument: 1, per: 1, more: 0 },
+        "a round a millisecond",
+    ),
     bound("lag::Lag::follow", "", Times(32), "a bit of the number of steps in each round"),
     bound("Heat::memory", "", Times(4), "three axes and the spindle"),
     bound("heat::agree", "", Times(8), "the thermometers, `CHANNELS`"),
     bound("thermal::Law::at", "", Times(16), "halves at most 2¹⁶ pieces"),
     bound("Law::depends_on_position", "", Times(64), "the pieces of a law"),
     bound("Agreement::step", "", Times(3), "the sources, `ElongationSource::ALL`"),
-    bound("Bridge>::first_that_is_told", "", Times(3), "the sources, `ElongationSource::ALL`"),
+    bound("Bridge>::first_available", "", Times(3), "the sources, `ElongationSource::ALL`"),
     bound("fall_back_is_dead", "", Times(3), "the sources, `ElongationSource::ALL`"),
     bound("term::sum::axis_errors", "", Terms, TERMS),
     bound("term::sum::walk", "", Terms, TERMS),
@@ -233,18 +238,18 @@ const COPIES: &[CopyLength] = &[
         "a serial frame without its CRC, `MAX_FRAME`, `modbus/src/rtu.rs`",
     ),
     copy("server::answered", "frame.finalize", 59, "the longest answer without its CRC"),
-    copy(WORDS, "", 9, "the words in the log, those of `What::word` the longest"),
+    copy(WORDS, "", 9, "the words in the log, those of `WriteKind::word` the longest"),
 ];
 
 const EXCLUDED: &[Excluded] = &[
     excluded(
         "app::supervise",
-        "keep_calibration",
+        "store_calibration",
         "a loaded calibration is looked at and stored at rest alone: no offset is followed meanwhile, the watchdog is fed \
          in between",
     ),
     excluded(
-        "Supervision::keep_running",
+        "Supervision::store_running",
         "",
         "the running calibration is stored again at rest alone, on the operator's command",
     ),
@@ -289,12 +294,12 @@ const LINES: &[Excluded] = &[
     excluded("Port::receive", "self.perform", "a line is read at its end"),
     excluded("Port::receive", "malformed", "a line is refused at its end"),
     excluded("Port::receive", "self.answer", "a line is refused at its end"),
-    excluded("app::listen", "node.hear", "a frame is a line"),
+    excluded("app::listen", "node.receive", "a frame is a line"),
 ];
 
 const ONCES: &[Once] = &[
     Once {
-        function: "Node::hear_control",
+        function: "Node::receive_control",
         period_us: 10_000.0,
         reason: "a CNC sends one `Control` in 10 ms, a PLC one in a block",
     },

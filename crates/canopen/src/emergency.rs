@@ -125,7 +125,7 @@ impl Emergencies {
     }
 
     /// Notes the faults of a tick.
-    pub fn note(&mut self, elapsed_ms: u32, now: Faults) {
+    pub fn update(&mut self, elapsed_ms: u32, now: Faults) {
         self.since_ms = self.since_ms.saturating_add(elapsed_ms);
         self.seen = self.seen.and(now);
     }

@@ -41,7 +41,7 @@ impl Consumer {
     }
 
     /// Takes a frame from the bus; every other than the expected heartbeat has no effect.
-    pub fn hear(&mut self, frame: &Frame) {
+    pub fn receive(&mut self, frame: &Frame) {
         if self.is_on() && frame.id() == BASE | u16::from(self.node) {
             self.silent_ms = Some(0);
         }

@@ -132,7 +132,7 @@ pub struct Server {
 impl Server {
     /// Answers a request. Gives nothing where CiA 301 has no answer: an abort of the master, a
     /// frame that has not 8 bytes, a segment whose acceptance takes a while.
-    pub fn hear(&mut self, request: &Frame, objects: &mut impl Objects) -> Option<Frame> {
+    pub fn receive(&mut self, request: &Frame, objects: &mut impl Objects) -> Option<Frame> {
         if usize::from(request.len()) != Frame::MAX_LEN {
             return None;
         }
@@ -142,7 +142,7 @@ impl Server {
         if let Phase::Block { at, what, block } = self.phase
             && block.may_be(command)
         {
-            return match self.hear_block(at, what, block, request.data(), objects) {
+            return match self.receive_block(at, what, block, request.data(), objects) {
                 Ok(answer) => answer.map(|data| Frame::full(SDO_ANSWER_ID, data)),
                 Err(abort) => Some(self.abort(at, abort)),
             };

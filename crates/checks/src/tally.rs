@@ -64,7 +64,7 @@ impl Tally {
     /// Takes a line that a test program printed; `took` is the time since its last result.
     ///
     /// Gives whether the line is the result of one test.
-    pub fn hear(&mut self, program: &str, line: &str, took: Duration) -> bool {
+    pub fn receive(&mut self, program: &str, line: &str, took: Duration) -> bool {
         if line.starts_with("skipped:") {
             self.lacking += 1;
             self.announced += 1;
@@ -126,7 +126,7 @@ mod tests {
             "test result: ok. 4 passed; 0 failed; 2 ignored; 0 measured; 0 filtered out",
         ];
         for line in lines {
-            tally.hear("x", line, Duration::from_secs(1));
+            tally.receive("x", line, Duration::from_secs(1));
         }
         let times = vec![("x: a::b".into(), Duration::from_secs(1))];
         let expected =
@@ -139,7 +139,7 @@ mod tests {
     fn a_test_that_failed_is_named_with_its_program() {
         let mut tally = Tally::default();
         for line in ["test a ... FAILED", "test result: FAILED. 0 passed; 1 failed; 0 ignored"] {
-            tally.hear("x", line, Duration::ZERO);
+            tally.receive("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.failures), (1, vec!["x: a".to_owned()]));
     }
@@ -148,7 +148,7 @@ mod tests {
     fn a_test_that_is_ignored_for_no_known_reason_fails() {
         let mut tally = Tally::default();
         for line in ["test a ... ignored", "test b ... ignored, takes a while"] {
-            tally.hear("x", line, Duration::ZERO);
+            tally.receive("x", line, Duration::ZERO);
         }
         assert_eq!((tally.failed, tally.skipped()), (2, 0));
     }

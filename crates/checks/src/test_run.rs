@@ -102,7 +102,7 @@ fn compiled(messages: &str) -> Vec<String> {
 pub fn documentation() -> Result<Tally> {
     let mut command = cargo::locked("test");
     command.arg("--doc").args(SELECTION);
-    hear("documentation", &mut command)
+    receive("documentation", &mut command)
 }
 
 /// Runs programs, each with the given arguments and environment.
@@ -141,14 +141,14 @@ fn run_one(program: &Program, arguments: &[&str], variables: &[(&str, &str)]) ->
     command.current_dir(&program.folder).env("CARGO_MANIFEST_DIR", &program.folder);
     command.args(["--test-threads=1", "--show-output"]).args(arguments);
     command.envs(variables.iter().copied());
-    hear(&program.name, &mut command)
+    receive(&program.name, &mut command)
 }
 
 /// Runs a command that tests, counts by what it prints, and says in a line what came of it.
 ///
 /// # Errors
 /// It cannot be started, or what it says cannot be kept.
-pub fn hear(name: &str, command: &mut Command) -> Result<Tally> {
+pub fn receive(name: &str, command: &mut Command) -> Result<Tally> {
     let started = Instant::now();
     let (tally, said) = listen(name, command)?;
     let folder = setup::root().join("target/verify");
@@ -193,7 +193,7 @@ fn listen(name: &str, command: &mut Command) -> Result<(Tally, String)> {
         let line = String::from_utf8_lossy(&line);
         said.push_str(&line);
         said.push('\n');
-        if tally.hear(name, &line, last.elapsed()) {
+        if tally.receive(name, &line, last.elapsed()) {
             last = Instant::now();
         }
     }

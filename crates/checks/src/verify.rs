@@ -134,7 +134,7 @@ fn quick_checks(checks: &mut Verification) {
         }
         check(chip::cargo("fmt").arg("--check"))?;
         check(chip::cargo("clippy").args(["--locked", "--all-targets", "--", "-D", "warnings"]))?;
-        test_run::hear("chip", chip::cargo("test").arg("--locked"))
+        test_run::receive("chip", chip::cargo("test").arg("--locked"))
     });
     checks.step("images", || {
         trueup_output::line(size::report()?.trim_end());

@@ -34,7 +34,7 @@ pub struct Wire {
 }
 
 /// A client is given what the board has said when the line falls silent, and after this many bytes at the latest.
-const MOST_AT_ONCE: usize = 256;
+const MAX_AT_ONCE: usize = 256;
 
 impl Wire {
     /// Returns one that is driven all the time, with ten bits to a character.
@@ -65,7 +65,7 @@ impl Wire {
         if self.client.is_some() {
             self.owed.push(byte);
         }
-        if self.owed.len() >= MOST_AT_ONCE {
+        if self.owed.len() >= MAX_AT_ONCE {
             self.give();
         }
     }

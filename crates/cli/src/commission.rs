@@ -40,7 +40,7 @@ use self::{
 };
 use crate::{
     Cli, Outcome, UserError, files, output,
-    program::{For, Motion},
+    program::{Controller, Motion},
     report,
 };
 
@@ -53,7 +53,7 @@ use crate::{
 #[derive(Args)]
 pub struct Commission {
     /// The kind of commissioning; left out, the growth of the spindle that the machine file describes.
-    kind: Option<What>,
+    kind: Option<Procedure>,
     /// The axis, for pitch and backlash.
     #[arg(long, value_name = "x|y|z", value_parser = axis)]
     axis: Option<LinearAxis>,
@@ -65,7 +65,7 @@ pub struct Commission {
     port: String,
     /// The control that runs the programs.
     #[arg(long = "for", value_name = "CONTROL")]
-    control: For,
+    control: Controller,
     /// The folder for everything; made if it is not there.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -86,7 +86,7 @@ pub struct Commission {
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum What {
+enum Procedure {
     /// The growth of the spindle, from cold.
     Warmup,
     /// The position errors of an axis.
@@ -116,14 +116,14 @@ impl Subject {
             UserError(format!("{kind} is of an axis: say which, --axis x, --axis y or --axis z"))
         };
         match (args.kind, args.axis) {
-            (Some(What::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
-            (Some(What::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
-            (Some(What::Pitch), None) => Err(no_axis("pitch")),
-            (Some(What::Backlash), None) => Err(no_axis("backlash")),
-            (Some(What::Warmup) | None, Some(_)) => Err(UserError(
+            (Some(Procedure::Pitch), Some(axis)) => Ok(Self::Pitch(axis)),
+            (Some(Procedure::Backlash), Some(axis)) => Ok(Self::Backlash(axis)),
+            (Some(Procedure::Pitch), None) => Err(no_axis("pitch")),
+            (Some(Procedure::Backlash), None) => Err(no_axis("backlash")),
+            (Some(Procedure::Warmup) | None, Some(_)) => Err(UserError(
                 "an axis is commissioned by its pitch or its backlash: trueup commission pitch --axis …".into(),
             )),
-            (Some(What::Warmup), None) => Ok(Self::Spindle),
+            (Some(Procedure::Warmup), None) => Ok(Self::Spindle),
             (None, None) if machine.spindle == Spindle::default() => Err(UserError(format!(
                 "{file} has no [spindle]: say what is to be commissioned: trueup commission warmup, or \
                  pitch or backlash with --axis. Straightness and the heat of an axis are measured and \

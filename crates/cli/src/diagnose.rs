@@ -38,10 +38,10 @@ pub struct Diagnose {
     /// Also plan the shortest run, of the spindle or of the axis, that distinguishes open causes: next.csv to be filled
     /// in, next.json, and the program for this control.
     #[arg(long, value_name = "CONTROL")]
-    next: Option<crate::program::For>,
+    next: Option<crate::program::Controller>,
     /// How the readings of the next run get into its rows: a person takes at most one in 30 s.
-    #[arg(long, value_enum, default_value_t = By::Hand, requires = "next")]
-    gauge: By,
+    #[arg(long, value_enum, default_value_t = Gauging::Hand, requires = "next")]
+    gauge: Gauging,
     #[command(flatten)]
     motion: crate::program::Motion,
     /// The folder for diagnosis.json, report.html, extended.toml and residuals.csv.
@@ -88,14 +88,14 @@ impl Input {
 
 /// Who reads the gauge.
 #[derive(Clone, Copy, ValueEnum)]
-pub enum By {
+pub enum Gauging {
     /// A person, who writes it down.
     Hand,
     /// A program records it.
     Auto,
 }
 
-impl By {
+impl Gauging {
     fn gauge(self) -> Gauge {
         match self {
             Self::Hand => Gauge::Hand,

@@ -10,7 +10,7 @@ use anyhow::Result;
 use clap::{Args, ValueEnum};
 use serde_json::{Value, json};
 use trueup_export::{
-    ExportedTable, Format, LeftOut, Options, Report, Units, export, fanuc::Series,
+    ExportedTable, Format, Omitted, Options, Report, Units, export, fanuc::Series,
 };
 
 use crate::{
@@ -217,7 +217,7 @@ fn as_value(report: &Report, files: &[trueup_export::File], folder: &Path) -> Va
         })
     };
     let left_out =
-        |LeftOut { section, reason }: &LeftOut| json!({ "section": section, "reason": reason });
+        |Omitted { section, reason }: &Omitted| json!({ "section": section, "reason": reason });
     json!({
         "format": report.format.name(),
         "machine": report.machine,

@@ -20,7 +20,7 @@ use trueup_fit::{
 };
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile,
-    applied::{Unaided, require_applied_once},
+    applied::{Uncompensated, require_applied_once},
     compile::check_slopes,
     file::{ElongationSource, LinearAxis, Quantity, ThermalMode},
 };
@@ -28,14 +28,14 @@ use trueup_machine::{
 pub use args::Fit;
 
 use self::args::{
-    Backlash, By, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
-    Thermal, Warmup, Ways,
+    Backlash, Common, Elongation, Kind, Measured, Method, Mode, Pitch, Positions, Straightness,
+    TableMode, Thermal, Warmup, WarmupSource,
 };
 use crate::{Outcome, UserError, commands, files, origin, output, runs};
 
 /// The files that were read.
 struct Input {
-    runs: Vec<Unaided<'static>>,
+    runs: Vec<Uncompensated<'static>>,
     machine: Option<(PathBuf, String, Machine)>,
 }
 
@@ -62,8 +62,8 @@ pub fn run(args: &Fit, as_json: bool) -> Result<Outcome> {
         Kind::Backlash(args) => backlash_of(&input, args)?,
         Kind::Elongation(args) => {
             let source = args.source.map(|by| match by {
-                By::Sensor => ElongationSource::Sensor,
-                By::Temperature => ElongationSource::Temperature,
+                WarmupSource::Sensor => ElongationSource::Sensor,
+                WarmupSource::Temperature => ElongationSource::Temperature,
             });
             let options = elongation::Options { source, temperature: args.temperature.clone() };
             elongation::fit(&input.runs, input.machine(), &options)?
@@ -98,8 +98,8 @@ impl Input {
             }
         };
         let of = machine.as_ref().map(|(_, _, machine)| machine);
-        let unaided = |run: RunFile| -> Result<Unaided<'static>> {
-            let (run, notes) = Unaided::of(Cow::Owned(run), of, None)?;
+        let unaided = |run: RunFile| -> Result<Uncompensated<'static>> {
+            let (run, notes) = Uncompensated::of(Cow::Owned(run), of, None)?;
             notes.iter().for_each(crate::report::warn);
             Ok(run)
         };
@@ -116,7 +116,7 @@ impl Input {
     }
 
     /// Returns the one run; what takes one alone refuses several.
-    fn run(&self) -> Result<&Unaided<'_>, UserError> {
+    fn run(&self) -> Result<&Uncompensated<'_>, UserError> {
         match &self.runs[..] {
             [run] => Ok(run),
             runs => Err(UserError(format!(
@@ -128,7 +128,11 @@ impl Input {
     }
 
     /// Returns what the rest of the machine file says of `run`, with a warning where it cannot.
-    fn known(&self, run: &Unaided<'_>, without: Without) -> Result<Option<Vec<f64>>, BadInput> {
+    fn known(
+        &self,
+        run: &Uncompensated<'_>,
+        without: Without,
+    ) -> Result<Option<Vec<f64>>, BadInput> {
         let Some(machine) = self.machine() else { return Ok(None) };
         let Some(known) = known(machine, run, without)? else { return Ok(None) };
         if known.is_usable() {
@@ -165,15 +169,15 @@ fn straightness_of(input: &Input, args: &Straightness) -> Result<Report> {
 
 fn pitch_of(input: &Input, args: &Pitch) -> Result<Report> {
     let ways = match args.ways {
-        Ways::Automatic => pitch::Ways::Automatic,
-        Ways::One => pitch::Ways::One,
-        Ways::Both => pitch::Ways::Both,
+        TableMode::Automatic => pitch::TableMode::Automatic,
+        TableMode::One => pitch::TableMode::One,
+        TableMode::Both => pitch::TableMode::Both,
     };
     let of = |options| pitch::Options { ways, step_mm: args.step_mm, ..options };
     let axis = axis_of(&input.runs, args.positions.error.quantity().as_deref())?;
     if let Some(dual) = input.machine().and_then(|machine| machine.axes[axis.index()].dual.clone())
     {
-        let options = |run: &Unaided<'_>| -> Result<pitch::Options> {
+        let options = |run: &Uncompensated<'_>| -> Result<pitch::Options> {
             Ok(of(position_options(input, &args.positions, run, axis)?))
         };
         return pitch::fit_both(&input.runs, axis, &dual, options);
@@ -219,7 +223,7 @@ fn write_page(
 fn positions<'a>(
     input: &'a Input,
     args: &Positions,
-) -> Result<(&'a Unaided<'a>, LinearAxis, pitch::Options)> {
+) -> Result<(&'a Uncompensated<'a>, LinearAxis, pitch::Options)> {
     let run = input.run()?;
     let axis = axis_of(&input.runs, args.error.quantity().as_deref())?;
     Ok((run, axis, position_options(input, args, run, axis)?))
@@ -229,7 +233,7 @@ fn positions<'a>(
 fn position_options(
     input: &Input,
     args: &Positions,
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     axis: LinearAxis,
 ) -> Result<pitch::Options> {
     let feedback = input.machine().map(|machine| machine.axes[axis.index()].feedback);
@@ -264,7 +268,7 @@ fn thermal_of(input: &Input, args: &Thermal) -> Result<Report> {
 }
 
 /// Returns the axis of `quantity`, else the only one whose error the runs measure.
-fn axis_of(runs: &[Unaided<'_>], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
+fn axis_of(runs: &[Uncompensated<'_>], quantity: Option<&str>) -> Result<LinearAxis, BadInput> {
     let start = || Location::start_of(runs[0].path());
     if let Some(quantity) = quantity {
         let axis = LinearAxis::ALL.into_iter().find(|axis| quantity == format!("d{}", axis.name()));

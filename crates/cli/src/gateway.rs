@@ -269,7 +269,7 @@ fn run_s7(shared: &Shared, bridge: &Bridge, target: &Target) -> Result<Outcome> 
 fn wait_for_bridge(shared: &Shared) -> bool {
     let start = Instant::now();
     while start.elapsed() < ONCE && !shared.has_ended() {
-        if shared.hub().hears_bridge(shared.now()) {
+        if shared.hub().receives_bridge(shared.now()) {
             return true;
         }
         thread::sleep(LOOK);

@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// A state grows by some kilobytes with each change; a larger file is none.
-const MOST_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 256 << 20;
 
 /// Lets the constants of a machine file follow the machine: slowly, within bounds, never by one reading.
 ///
@@ -186,7 +186,7 @@ fn remembered(path: &Path) -> Result<(Option<Memory>, bool)> {
     if fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
         return Ok((None, false));
     }
-    let text = files::text(path, MOST_BYTES)?;
+    let text = files::text(path, MAX_BYTES)?;
     let memory = Memory::read(&text);
     let memory =
         memory.map_err(|rule| bad(format!("is not what trueup learn has written: {rule}")))?;

@@ -35,7 +35,7 @@ use trueup_linuxcnc::{
 };
 use trueup_machine::{
     Machine, MachineFile, bounded, compile,
-    file::{LinearAxis, MOST_BYTES},
+    file::{LinearAxis, MAX_BYTES},
     model::over_compensation_um,
 };
 use trueup_output::{escape::one_line, queue::Queue};
@@ -64,7 +64,7 @@ pub struct LinuxCnc {
     port: Option<String>,
     /// Where offsets enter: as external offsets of the axes, or between the joints and their drives.
     #[arg(long, value_enum, default_value_t)]
-    by: configure::By,
+    by: configure::OffsetEntry,
     /// Takes the limits from this machine file: the same that the bridge was loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -200,7 +200,7 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
     let ini = match &args.ini {
         Some(path) => {
             let ini = read_ini(path)?;
-            if args.by == configure::By::Eoffset {
+            if args.by == configure::OffsetEntry::Eoffset {
                 ini.remarks(slew_um_per_s).iter().for_each(|remark| log.tell(remark));
             }
             ini
@@ -213,8 +213,10 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
         }
     };
     let joints = match args.by {
-        configure::By::Eoffset => [None; MAX_JOINTS],
-        configure::By::Joint => configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?,
+        configure::OffsetEntry::Eoffset => [None; MAX_JOINTS],
+        configure::OffsetEntry::Joint => {
+            configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?
+        }
     };
     let settings = Settings {
         name: args.name.clone(),
@@ -254,7 +256,7 @@ fn watch(path: PathBuf, machine: Machine) -> Receiver<Learned> {
     std::thread::spawn(move || {
         let mut before = None;
         loop {
-            let now = bounded::read_text(&path, MOST_BYTES).map_err(|error| error.rule);
+            let now = bounded::read_text(&path, MAX_BYTES).map_err(|error| error.rule);
             if before.as_ref() != Some(&now) {
                 if sender.send(learned(&machine, &path, &now)).is_err() {
                     return;

@@ -63,7 +63,7 @@ use trueup_client::Unusable;
 use trueup_machine::BadInput;
 use trueup_output::escape::is_unsafe;
 
-use report::Manner;
+use report::Verbosity;
 
 /// The version and the commit that this tool was built from.
 const VERSION: &str = concat!(env!("CARGO_PKG_VERSION"), " (", env!("TRUEUP_COMMIT"), ")");
@@ -183,7 +183,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return usage(&error),
     };
-    report::set(Manner { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
+    report::set(Verbosity { json: cli.json, quiet: cli.quiet, verbose: cli.verbose });
     files::accept(&cli.accept);
     let code = exit_code(run(&cli));
     trueup_output::finish();

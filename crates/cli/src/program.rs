@@ -31,13 +31,13 @@ use crate::{
 #[derive(Args)]
 pub struct Program {
     /// The kind of measurement.
-    kind: What,
+    kind: ProgramKind,
     /// The machine file; its travel_mm say how far the axes may go.
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
     /// The control that is to run it.
     #[arg(long = "for", value_name = "CONTROL")]
-    control: For,
+    control: Controller,
     /// The folder for the programs and run files; made if it is not there.
     #[arg(long, alias = "output", value_name = "DIR")]
     out: PathBuf,
@@ -65,7 +65,7 @@ pub struct Program {
     /// The measuring instrument. backlash: a dial (the default) needs a stop at each place, a laser none. warmup:
     /// left out, a gauge that does not touch; with a dial the spindle stops for each reading.
     #[arg(long)]
-    gauge: Option<By>,
+    gauge: Option<Instrument>,
     /// warmup: the speed; left out, rated_rpm of the machine file.
     #[arg(long, value_name = "R/MIN")]
     rpm: Option<f64>,
@@ -84,7 +84,7 @@ pub struct Program {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum What {
+enum ProgramKind {
     /// The play of an axis: the middle and near both ends, seven times each.
     Backlash,
     /// Position errors there and back over uneven targets.
@@ -110,7 +110,7 @@ enum What {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum For {
+pub enum Controller {
     /// LinuxCNC.
     #[value(name = "linuxcnc")]
     LinuxCnc,
@@ -122,7 +122,7 @@ pub enum For {
     Heidenhain,
 }
 
-impl For {
+impl Controller {
     /// As `--for` takes it.
     pub fn name(self) -> String {
         self.to_possible_value().expect("none is hidden").get_name().to_owned()
@@ -139,7 +139,7 @@ impl For {
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-enum By {
+enum Instrument {
     /// An indicator at one place.
     Dial,
     /// A laser interferometer along the whole way.
@@ -157,17 +157,17 @@ enum Axis {
 pub fn run(args: &Program, as_json: bool) -> Result<Outcome> {
     let machine = files::machine(&args.machine)?;
     let kind = match args.kind {
-        What::Backlash => Kind::Backlash,
-        What::Pitch => Kind::Pitch,
-        What::Straightness => Kind::Straightness,
-        What::Warmup => Kind::Warmup,
-        What::AxisHeat => Kind::AxisHeat,
-        What::Diagonal => Kind::Diagonal,
-        What::StepDiagonal => Kind::StepDiagonal,
-        What::Circle => Kind::Circle,
-        What::Square => Kind::Square,
-        What::Sphere => Kind::Sphere,
-        What::Plate => Kind::Plate,
+        ProgramKind::Backlash => Kind::Backlash,
+        ProgramKind::Pitch => Kind::Pitch,
+        ProgramKind::Straightness => Kind::Straightness,
+        ProgramKind::Warmup => Kind::Warmup,
+        ProgramKind::AxisHeat => Kind::AxisHeat,
+        ProgramKind::Diagonal => Kind::Diagonal,
+        ProgramKind::StepDiagonal => Kind::StepDiagonal,
+        ProgramKind::Circle => Kind::Circle,
+        ProgramKind::Square => Kind::Square,
+        ProgramKind::Sphere => Kind::Sphere,
+        ProgramKind::Plate => Kind::Plate,
     };
     let control = args.control.control();
     let refused = |why| UserError(format!("{}: {why}", args.machine.display()));
@@ -252,8 +252,8 @@ fn options(args: &Program, machine: &Machine) -> Result<Options, UserError> {
         repeats: args.repeats,
         step_mm: args.step_mm,
         gauge: args.gauge.map(|gauge| match gauge {
-            By::Dial => Gauge::Dial,
-            By::Laser => Gauge::Laser,
+            Instrument::Dial => Gauge::Dial,
+            Instrument::Laser => Gauge::Laser,
         }),
         spindle_rpm: args.rpm,
         every_s: args.every_s,

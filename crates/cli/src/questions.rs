@@ -9,7 +9,7 @@ use trueup_machine::{
 };
 
 /// As many channels has the board.
-const MOST_THERMOMETERS: usize = LAST_CHANNEL as usize + 1;
+const MAX_THERMOMETERS: usize = LAST_CHANNEL as usize + 1;
 
 /// Questions that the flags have answered: they are not asked.
 pub struct Said {
@@ -268,7 +268,7 @@ fn ask_name(
 
 /// Asks for one thermometer after the other; `<` takes back the last one, and then the question.
 fn thermometers(template: &mut Template) -> Result<bool> {
-    while template.thermometers.len() < MOST_THERMOMETERS {
+    while template.thermometers.len() < MAX_THERMOMETERS {
         let before = template.thermometers.clone();
         let new = |text: &str| {
             word(text).and_then(|word| match before.contains(&word) {

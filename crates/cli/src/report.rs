@@ -31,7 +31,7 @@ use trueup_output::escape::{is_unsafe, one_line};
 
 /// The form and the extent of the messages to the user.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Manner {
+pub struct Verbosity {
     /// In objects.
     pub json: bool,
     /// Of errors alone.
@@ -40,16 +40,16 @@ pub struct Manner {
     pub verbose: bool,
 }
 
-static MANNER: OnceLock<Manner> = OnceLock::new();
+static MANNER: OnceLock<Verbosity> = OnceLock::new();
 
 /// Sets, once at the start, the form and the extent of the messages.
-pub fn set(manner: Manner) {
+pub fn set(manner: Verbosity) {
     // A second time cannot be: there is one command line.
     _ = MANNER.set(manner);
 }
 
 /// Returns the form and the extent of the messages.
-pub fn manner() -> Manner {
+pub fn manner() -> Verbosity {
     MANNER.get().copied().unwrap_or_default()
 }
 

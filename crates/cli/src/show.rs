@@ -10,12 +10,12 @@ use trueup_store::calibration::{decode, whole};
 use crate::{Outcome, UserError, files, output, report};
 
 /// Above any calibration, and what may follow it in its file.
-pub const MOST_BYTES: u64 = 1 << 20;
+pub const MAX_BYTES: u64 = 1 << 20;
 
 /// Prints the calibration in the file `from`.
 pub fn run(from: &Path, as_json: bool) -> Result<Outcome> {
     let bad = |rule: String| UserError(format!("{}: {rule}", from.display()));
-    let bytes = files::bytes(from, MOST_BYTES)?;
+    let bytes = files::bytes(from, MAX_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let more = bytes.len() - whole(&bytes).map_or(bytes.len(), <[u8]>::len);
     if more > 0 {

@@ -17,9 +17,9 @@ use crate::{
 };
 
 /// A file that is handed out is no larger than this.
-const MOST_BYTES: u64 = 1 << 30;
+const MAX_BYTES: u64 = 1 << 30;
 /// A key in PEM has some hundred.
-const MOST_OF_A_KEY: u64 = 10_000;
+const MAX_OF_A_KEY: u64 = 10_000;
 
 /// Signs files (Ed25519), so that the receiver can check from whom they are: FILE.sig next to each.
 ///
@@ -94,12 +94,12 @@ fn signature_path(file: &Path) -> PathBuf {
 }
 
 fn sign(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::text(key, MOST_OF_A_KEY)?;
+    let pem = files::text(key, MAX_OF_A_KEY)?;
     let private = PrivateKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
     let inputs: Vec<&Path> = names.iter().map(PathBuf::as_path).chain([key]).collect();
     let mut set = FileSet::new(&inputs);
     for file in names {
-        let signature = private.sign(&files::bytes(file, MOST_BYTES)?);
+        let signature = private.sign(&files::bytes(file, MAX_BYTES)?);
         set.add(&signature_path(file), |out| out.write_all(&signature))?;
     }
     set.commit()?;
@@ -110,14 +110,14 @@ fn sign(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
 }
 
 fn check(key: &Path, names: &[PathBuf]) -> Result<Outcome> {
-    let pem = files::text(key, MOST_OF_A_KEY)?;
+    let pem = files::text(key, MAX_OF_A_KEY)?;
     let public = PublicKey::from_pem(&pem).map_err(|fault| wrong(key, fault))?;
     let mut outcome = Outcome::Done;
     for file in names {
         let path = signature_path(file);
         let said = if path.is_file() {
-            let message = files::bytes(file, MOST_BYTES)?;
-            let signature = files::bytes(&path, MOST_OF_A_KEY)?;
+            let message = files::bytes(file, MAX_BYTES)?;
+            let signature = files::bytes(&path, MAX_OF_A_KEY)?;
             public.check(&message, &signature).map_err(|fault| fault.to_string())
         } else {
             Err("is missing".to_owned())

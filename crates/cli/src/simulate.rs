@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde_json::json;
-use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
 use trueup_twin::{Scenario, simulate};
 
 use crate::{Outcome, output};
@@ -34,7 +34,7 @@ pub fn run(args: &Simulate, as_json: bool) -> Result<Outcome> {
     let bad = |line, column, rule: &str| {
         BadInput::new(Location { file: path.clone(), line, column }, rule)
     };
-    let bytes = bounded::read(path, MOST_BYTES)?;
+    let bytes = bounded::read(path, MAX_BYTES)?;
     let text = String::from_utf8(bytes).map_err(|error| {
         let valid = String::from_utf8_lossy(&error.as_bytes()[..error.utf8_error().valid_up_to()]);
         let place = Location::at_byte(path, &valid, valid.len());

@@ -26,7 +26,7 @@ pub struct Cnc {
 
 impl Cnc {
     /// Takes a frame from the bus at this time of the bridge.
-    pub fn hear(&mut self, frame: &Frame, now_ms: u64) {
+    pub fn receive(&mut self, frame: &Frame, now_ms: u64) {
         let Ok(Some(command)) = self.receiver.accept(frame) else { return };
         let mut note = |column: usize, value: f64| self.values[column] = Some((value, now_ms));
         match command {
@@ -112,15 +112,15 @@ mod tests {
     fn what_the_cnc_says_stands_in_its_columns_until_it_is_old() {
         let mut cnc = Cnc::default();
         let spindle = Spindle { speed: Rpm(12_000), load_n: -7 };
-        cnc.hear(&frames::spindle(spindle, 0), 1_000);
+        cnc.receive(&frames::spindle(spindle, 0), 1_000);
         let z = AxisPosition {
             axis: LinearAxis::Z,
             position: Position(-12_345_678),
             direction: Heading::Negative,
         };
-        cnc.hear(&frames::position(z, 0), 1_200);
+        cnc.receive(&frames::position(z, 0), 1_200);
         let rotary = Rotary { angles: [MicroDegrees(-90_000_000), MicroDegrees(1_234_567)] };
-        cnc.hear(&frames::rotary(rotary, 0), 1_300);
+        cnc.receive(&frames::rotary(rotary, 0), 1_300);
         let at = |ms| cnc.cells(ms).collect::<Vec<_>>().join(",");
         assert_eq!(at(1_500), "12000,-7,,,-123.45678,,,-1,-90.0000,1.2345");
         assert_eq!(at(1_501), ",,,,-123.45678,,,-1,-90.0000,1.2345");

@@ -56,7 +56,7 @@ pub fn disengage(
     // One that has disengaged takes its offset back already.
     let is_commanded = is_commanded(session)?;
     if !is_commanded {
-        session.say(Control::default());
+        session.transmit(Control::default());
     }
     let start = Instant::now();
     let size = |all: [Option<i32>; 3]| all.into_iter().flatten().map(i32::unsigned_abs).max();

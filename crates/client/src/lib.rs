@@ -51,7 +51,6 @@ pub mod holder;
 pub mod line;
 pub mod load;
 pub mod object;
-mod patience;
 pub mod pinned;
 pub mod poll;
 pub mod port;
@@ -65,6 +64,7 @@ pub mod session;
 #[cfg(all(feature = "socketcan", target_os = "linux"))]
 mod socket_can;
 pub mod status;
+mod timeout_policy;
 pub mod words;
 pub mod writes;
 

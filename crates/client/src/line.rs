@@ -77,7 +77,7 @@ impl Line {
     }
 
     /// Returns what has happened since the last call; frames that have waited here for too long are left out.
-    pub fn heard(&self) -> impl Iterator<Item = LineEvent> + '_ {
+    pub fn received(&self) -> impl Iterator<Item = LineEvent> + '_ {
         let is_old = |at: Instant, event: &LineEvent| {
             matches!(event, LineEvent::Received(Event::Frame(_))) && at.elapsed() > LATE
         };
@@ -278,7 +278,7 @@ mod tests {
         while restarts.load(Ordering::Relaxed) < 2 {
             assert!(start.elapsed() < Duration::from_secs(10), "it is left alone");
             line.send(frames::heartbeat(frames::State::Operational));
-            for heard in line.heard() {
+            for heard in line.received() {
                 assert!(!matches!(heard, LineEvent::Down(_)), "the line itself stays: {heard:?}");
                 refusals += u32::from(matches!(heard, LineEvent::Received(Event::Refused)));
             }
@@ -301,7 +301,7 @@ mod tests {
         let line = Line::keep(move || open(number));
         let start = Instant::now();
         while start.elapsed() < 2 * SILENT {
-            for heard in line.heard() {
+            for heard in line.received() {
                 assert!(!matches!(heard, LineEvent::Down(_)), "nothing was wrong: {heard:?}");
             }
             thread::sleep(Duration::from_millis(5));
@@ -316,7 +316,7 @@ mod tests {
         let line = Line::keep(move || open(number));
         let wait = |wanted: fn(&LineEvent) -> bool| {
             let start = Instant::now();
-            while !line.heard().any(|heard| wanted(&heard)) {
+            while !line.received().any(|heard| wanted(&heard)) {
                 assert!(start.elapsed() < Duration::from_secs(10));
                 thread::sleep(Duration::from_millis(5));
             }

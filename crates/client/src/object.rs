@@ -19,8 +19,8 @@ use trueup_link::{frame::Frame, frames, slcan::Event};
 use trueup_output::escape::one_line;
 
 use crate::{
-    patience::{LOOK, Patience},
     session::Session,
+    timeout_policy::{LOOK, TimeoutPolicy},
 };
 
 /// The kind of device.
@@ -206,8 +206,8 @@ fn read_once(
     let (mut upload, first) = Upload::start_at_most(at, most);
     let mut bytes = Vec::new();
     let start = Instant::now();
-    transfer(session, at, first, Patience::from, |frame| {
-        let next = upload.hear(frame, &mut bytes)?;
+    transfer(session, at, first, TimeoutPolicy::from, |frame| {
+        let next = upload.receive(frame, &mut bytes)?;
         let count = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
         if start.elapsed() > TRANSFER_TIME + TIME_PER_BYTE * count {
             return Err(TooSlow(at, count).into());
@@ -264,8 +264,8 @@ pub fn write(
     mut progress: impl FnMut(usize),
 ) -> Result<()> {
     let (mut download, first) = Download::start(at, data);
-    transfer(session, at, first, Patience::from, |frame| {
-        let next = download.hear(frame)?;
+    transfer(session, at, first, TimeoutPolicy::from, |frame| {
+        let next = download.receive(frame)?;
         progress(download.sent());
         Ok((next, Vec::new()))
     })
@@ -284,8 +284,8 @@ pub fn write_in_blocks(
     mut progress: impl FnMut(usize) -> Result<()>,
 ) -> Result<()> {
     let (mut download, first) = BlockDownload::start(at, data);
-    let written = transfer(session, at, first, Patience::over_an_erase, |frame| {
-        let next = download.hear(frame)?;
+    let written = transfer(session, at, first, TimeoutPolicy::over_an_erase, |frame| {
+        let next = download.receive(frame)?;
         let more = iter::from_fn(|| download.more()).collect();
         if next != Progress::Unchanged {
             progress(download.sent())?;
@@ -296,8 +296,8 @@ pub fn write_in_blocks(
         return written;
     }
     let (mut download, first) = Download::start(at, data);
-    transfer(session, at, first, Patience::over_an_erase, |frame| {
-        let next = download.hear(frame)?;
+    transfer(session, at, first, TimeoutPolicy::over_an_erase, |frame| {
+        let next = download.receive(frame)?;
         if next != Progress::Unchanged {
             progress(download.sent())?;
         }
@@ -314,7 +314,7 @@ fn transfer(
     session: &mut Session,
     at: At,
     first: Frame,
-    patience_from: fn(Instant) -> Patience,
+    patience_from: fn(Instant) -> TimeoutPolicy,
     mut hear: impl FnMut(&Frame) -> Result<(Progress, Vec<Frame>)>,
 ) -> Result<()> {
     session.send(&first).context("while asking for an object")?;

@@ -18,7 +18,7 @@ const BACK_OFF: Duration = Duration::from_secs(5);
 
 /// The result of a received frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Heard {
+pub enum PollOutcome {
     /// Nothing of this object.
     Nothing,
     /// This is to be sent.
@@ -62,34 +62,34 @@ impl Poll {
     }
 
     /// Takes a frame from the bus.
-    pub fn hear(&mut self, frame: &Frame, now: Instant) -> Heard {
+    pub fn receive(&mut self, frame: &Frame, now: Instant) -> PollOutcome {
         let is_of_sdo = [SDO_ANSWER_ID, SDO_REQUEST_ID].contains(&frame.id());
         let Some((upload, bytes, last)) = &mut self.running else {
             if is_of_sdo {
                 self.due = now + BACK_OFF;
             }
-            return Heard::Nothing;
+            return PollOutcome::Nothing;
         };
-        match upload.hear(frame, bytes) {
+        match upload.receive(frame, bytes) {
             Ok(Progress::Unchanged) => {
                 if is_of_sdo {
                     self.running = None;
                     self.due = now + BACK_OFF;
                 }
-                Heard::Nothing
+                PollOutcome::Nothing
             }
             Ok(Progress::Ask(request)) => {
                 *last = now;
-                Heard::Ask(request)
+                PollOutcome::Ask(request)
             }
             Ok(Progress::Done) => {
                 let bytes = std::mem::take(bytes);
                 self.running = None;
-                Heard::Bytes(bytes)
+                PollOutcome::Bytes(bytes)
             }
             Err(_) => {
                 self.running = None;
-                Heard::Refused
+                PollOutcome::Refused
             }
         }
     }
@@ -126,14 +126,14 @@ mod tests {
         assert!(poll.due(start).is_some_and(|it| it.id() == SDO_REQUEST_ID));
         assert_eq!(poll.due(start + period), None, "the answer has not come");
         let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
-        assert_eq!(poll.hear(&value, start), Heard::Bytes(vec![1, 2, 3, 4]));
+        assert_eq!(poll.receive(&value, start), PollOutcome::Bytes(vec![1, 2, 3, 4]));
         assert_eq!(poll.due(start + period / 2), None);
         assert!(poll.due(start + period).is_some());
         // One that never comes is given up.
         assert_eq!(poll.due(start + 3 * period), None);
         assert!(poll.due(start + 6 * period).is_some());
         let abort = answer([0x80, 0x30, 0x91, 9, 0, 0, 2, 6]);
-        assert_eq!(poll.hear(&abort, start + 6 * period), Heard::Refused);
+        assert_eq!(poll.receive(&abort, start + 6 * period), PollOutcome::Refused);
     }
 
     #[test]
@@ -145,7 +145,7 @@ mod tests {
         let late = start + 2 * PATIENCE;
         assert!(poll.due(late).is_some(), "a bridge that is slow to answer is asked again");
         let value = answer([0x43, 0x30, 0x91, 9, 1, 2, 3, 4]);
-        assert_eq!(poll.hear(&value, late), Heard::Bytes(vec![1, 2, 3, 4]));
+        assert_eq!(poll.receive(&value, late), PollOutcome::Bytes(vec![1, 2, 3, 4]));
         assert_eq!(poll.due(late + 4 * PATIENCE), None, "it has come");
     }
 
@@ -154,11 +154,11 @@ mod tests {
         let start = Instant::now();
         let mut poll = Poll::new(AT, Duration::from_millis(200), start);
         // A segment of somebody's load is answered.
-        assert_eq!(poll.hear(&answer([0x20, 0, 0, 0, 0, 0, 0, 0]), start), Heard::Nothing);
+        assert_eq!(poll.receive(&answer([0x20, 0, 0, 0, 0, 0, 0, 0]), start), PollOutcome::Nothing);
         assert_eq!(poll.due(start + BACK_OFF / 2), None);
         assert!(poll.due(start + BACK_OFF).is_some());
         // Or while an answer of our own is waited for.
-        poll.hear(&answer([0x60, 0, 0x21, 2, 0, 0, 0, 0]), start + BACK_OFF);
+        poll.receive(&answer([0x60, 0, 0x21, 2, 0, 0, 0, 0]), start + BACK_OFF);
         assert_eq!(poll.due(start + BACK_OFF + PATIENCE), None);
     }
 }

@@ -174,14 +174,14 @@ impl Recorder {
     ///
     /// # Errors
     /// A file cannot be written.
-    pub fn hear(&mut self, frame: &Frame, at: SystemTime) -> Result<()> {
+    pub fn receive(&mut self, frame: &Frame, at: SystemTime) -> Result<()> {
         self.frames += 1;
         self.log.line(&candump_line(&self.interface, frame, at))?;
-        self.board.hear(frame);
+        self.board.receive(frame);
         if frame.id() == OFFSET_XY_ID {
-            self.clock.hear(counter(frame), at);
+            self.clock.receive(counter(frame), at);
         }
-        self.cnc.hear(frame, self.clock.ms);
+        self.cnc.receive(frame, self.clock.ms);
         // What is refused makes no row; the monitor counts it.
         if let Ok(Some(output)) = self.offsets.accept(frame)
             && self.clock.ms >= self.next_row_ms
@@ -315,7 +315,7 @@ struct Clock {
 }
 
 impl Clock {
-    fn hear(&mut self, counter: u8, at: SystemTime) {
+    fn receive(&mut self, counter: u8, at: SystemTime) {
         if let Some((last, heard)) = self.last {
             let counted = u64::from(counter.wrapping_sub(last));
             // The counter comes round every 256 ms; how often it did in a longer silence, only
@@ -353,7 +353,7 @@ mod tests {
     };
     use trueup_link::frames;
     use trueup_machine::{RunFile, compile};
-    use trueup_node::node::{Line, Node};
+    use trueup_node::node::{Interface, Node};
 
     /// A spindle whose sensor drifts with its own temperature by 0.2 µm/°C.
     const DRIFTING: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n\
@@ -385,7 +385,7 @@ mod tests {
             if ms % 20 == 0 {
                 let engaged = Control { engage: ms >= 60, ..Control::REFERENCED };
                 let control = frames::control(engaged, (ms / 20) as u8);
-                node.hear(Line::Can, &control).expect("in order");
+                node.receive(Interface::Can, &control).expect("in order");
             }
             let input = Input {
                 codes: Some(&codes),
@@ -394,7 +394,7 @@ mod tests {
             };
             let at = UNIX_EPOCH + Duration::from_millis(ms.into());
             for frame in node.tick(1, input).into_iter().chain(node.service()) {
-                recorder.hear(&frame, at).expect("the disk is not full");
+                recorder.receive(&frame, at).expect("the disk is not full");
             }
         }
         recorder.flush().expect("the disk is not full");
@@ -428,7 +428,7 @@ mod tests {
             }
             for frame in node.tick(1, Input::default()) {
                 let at = UNIX_EPOCH + Duration::from_millis(ms.into());
-                recorder.hear(&frame, at).expect("the disk is not full");
+                recorder.receive(&frame, at).expect("the disk is not full");
             }
         }
         recorder.mark(99.0);
@@ -492,7 +492,7 @@ mod tests {
             (6, 2_560, 3_596),
         ] {
             at += Duration::from_millis(after_ms);
-            clock.hear(counter, at);
+            clock.receive(counter, at);
             assert_eq!(clock.ms, ms, "counter {counter}");
         }
     }

@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
 use serde_json::{Value, json};
-use trueup_store::writes::{Origin, What};
+use trueup_store::writes::{Origin, WriteKind};
 
 use crate::{
     object::{self, At},
@@ -26,7 +26,7 @@ pub struct BridgeReference {
     /// Offered: it waits for `Confirm`.
     pub offered: Option<Nanometres>,
     /// Whether it was taken by `Zero` or offered from a file, and over which line.
-    pub origin: Option<(What, Origin)>,
+    pub origin: Option<(WriteKind, Origin)>,
     /// When, in seconds since 1970 (UTC).
     pub utc_s: Option<u32>,
     /// How long ago, in seconds.
@@ -52,7 +52,7 @@ impl BridgeReference {
         let origin = optional(session, object::REFERENCE_ORIGIN);
         all.origin = origin.and_then(|number| {
             let [what, origin, ..] = number.to_le_bytes();
-            let what = What::ALL.into_iter().find(|it| *it as u8 == what)?;
+            let what = WriteKind::ALL.into_iter().find(|it| *it as u8 == what)?;
             Some((what, Origin::ALL.into_iter().find(|it| *it as u8 == origin)?))
         });
         all.utc_s = optional(session, object::REFERENCE_UTC).filter(|utc_s| *utc_s != 0);
@@ -74,7 +74,9 @@ impl BridgeReference {
     pub fn text(&self) -> String {
         let Some(nm) = self.value() else { return "the calibration's own zero".into() };
         let by = match self.origin {
-            Some((What::Offered, line)) => format!("restored from a file over {}", line.word()),
+            Some((WriteKind::Offered, line)) => {
+                format!("restored from a file over {}", line.word())
+            }
             Some((_, line)) => format!("taken by Zero of the CNC over {}", line.word()),
             None => "taken by Zero".into(),
         };
@@ -152,7 +154,7 @@ mod tests {
         let mut reference = BridgeReference::default();
         assert_eq!(reference.text(), "the calibration's own zero");
         reference.in_force = Some([32_840, 0, -1_500, 0]);
-        reference.origin = Some((What::Zeroed, Origin::Can));
+        reference.origin = Some((WriteKind::Zeroed, Origin::Can));
         reference.age_s = Some(10_900);
         assert_eq!(
             reference.text(),
@@ -161,7 +163,7 @@ mod tests {
         );
         (reference.offered, reference.in_force) = (reference.in_force, None);
         (reference.utc_s, reference.age_s) = (Some(1_709_164_800), Some(90));
-        reference.origin = Some((What::Offered, Origin::Serial));
+        reference.origin = Some((WriteKind::Offered, Origin::Serial));
         let text = reference.text();
         assert!(
             text.contains(

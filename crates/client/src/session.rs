@@ -169,11 +169,11 @@ impl Session {
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
     /// that receives no CNC.
     pub fn allow_service(&mut self) {
-        self.say(Control { service: true, ..Control::default() });
+        self.transmit(Control { service: true, ..Control::default() });
     }
 
     /// Sends this `Control` from now on, in the same way.
-    pub(crate) fn say(&mut self, control: Control) {
+    pub(crate) fn transmit(&mut self, control: Control) {
         self.service = Some((control, 0, Instant::now()));
     }
 

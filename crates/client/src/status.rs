@@ -40,7 +40,7 @@ pub struct Board {
 impl Board {
     /// Takes a frame from the bus, and returns what it is about; `None`: it is no status, or cannot be used, which is
     /// counted.
-    pub fn hear(&mut self, frame: &Frame) -> Option<Item> {
+    pub fn receive(&mut self, frame: &Frame) -> Option<Item> {
         if frame.id() != STATUS_ID {
             return None;
         }
@@ -197,7 +197,7 @@ mod tests {
             Item::Calibration(0xF4AC_FB13),
         ];
         for (counter, item) in (0..).zip(items) {
-            board.hear(&encode(&Status { last_refused: Reason::Damaged, item }, counter));
+            board.receive(&encode(&Status { last_refused: Reason::Damaged, item }, counter));
         }
         assert_eq!(
             board.text(),
@@ -214,7 +214,7 @@ mod tests {
         assert_eq!(json["from_cnc"]["last_refused"], json!("damaged"));
         // A repetition changes nothing and is counted.
         let repeated = Status { last_refused: Reason::None, item: Item::Elongation(None) };
-        board.hear(&encode(&repeated, 7));
+        board.receive(&encode(&repeated, 7));
         assert_eq!((board.elongation, board.refused()), (Some(Nanometres(62_805)), 1));
     }
 }

@@ -1,7 +1,7 @@
 //! Who has written to the bridge: its log, in words and as JSON.
 
 use serde_json::{Value, json};
-use trueup_store::writes::{SIZE, What, Write};
+use trueup_store::writes::{SIZE, Write, WriteKind};
 
 /// Returns the writes of object 0x2110, the oldest first; those of another version are left out.
 #[must_use]
@@ -13,16 +13,16 @@ pub fn writes(bytes: &[u8]) -> Vec<Write> {
 #[must_use]
 pub fn text(write: &Write) -> String {
     let about = match write.what {
-        What::Loaded if write.is_unattended => {
+        WriteKind::Loaded if write.is_unattended => {
             format!(" calibration {:08x}, while no CNC was heard", write.about)
         }
-        What::Loaded | What::Cancelled => format!(" calibration {:08x}", write.about),
-        What::Zeroed | What::Offered => {
+        WriteKind::Loaded | WriteKind::Cancelled => format!(" calibration {:08x}", write.about),
+        WriteKind::Zeroed | WriteKind::Offered => {
             format!(" at {:+.2} µm", f64::from(write.about.cast_signed()) / 1_000.0)
         }
-        What::Confirmed => format!(" fault {}", write.about),
-        What::Named => format!(" as {:08x}", write.about),
-        What::Forgotten => String::new(),
+        WriteKind::Confirmed => format!(" fault {}", write.about),
+        WriteKind::Named => format!(" as {:08x}", write.about),
+        WriteKind::Forgotten => String::new(),
     };
     let after = f64::from(write.at_ms) / 1_000.0;
     let time = match write.utc_s {
@@ -95,7 +95,7 @@ mod tests {
             about: 0x1234_ABCD,
             at_ms: 61_250,
             utc_s: 1_709_164_800,
-            what: What::Loaded,
+            what: WriteKind::Loaded,
             origin: Origin::Can,
             is_unattended: false,
         };
@@ -105,7 +105,7 @@ mod tests {
         );
         assert_eq!(json(&write)["calibration_crc"], "000000a5");
         assert_eq!(writes(&[&write.to_bytes()[..], &[9; SIZE]].concat()), [write]);
-        (write.sequence, write.utc_s, write.what) = (0, 0, What::Zeroed);
+        (write.sequence, write.utc_s, write.what) = (0, 0, WriteKind::Zeroed);
         write.about = (-1_500_i32).cast_unsigned();
         assert_eq!(text(&write), "not stored zeroed at -1.50 µm, 61.2 s after a start, by can");
     }

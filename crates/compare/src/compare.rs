@@ -19,7 +19,7 @@
 use serde::Serialize;
 use trueup_machine::{BadInput, Location, RunFile, file::Quantity};
 use trueup_numerics::{
-    least_squares::Triangle,
+    least_squares::GivensQr,
     repeats::{self, arrivals, gross, places},
     t_quantile,
 };
@@ -29,7 +29,7 @@ const STRONG_EVIDENCE: f64 = 6.0;
 /// Places nearer than this are one, in mm: a tenth of the finest spacing in use, as `accept` has it.
 const SAME_PLACE_MM: f64 = 0.1;
 /// The fewest places that both runs have.
-const FEWEST: usize = 3;
+const MIN: usize = 3;
 
 /// The difference at one place.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -161,9 +161,9 @@ pub fn compare(a: &RunFile, b: &RunFile, asked: Option<Quantity>) -> Result<Comp
             }
         }
     }
-    if found.len() < FEWEST {
+    if found.len() < MIN {
         let rule = format!(
-            "has {} places in common with {}, and {FEWEST} are needed: run the same program in both",
+            "has {} places in common with {}, and {MIN} are needed: run the same program in both",
             found.len(),
             a.path().display()
         );
@@ -320,7 +320,7 @@ impl Law {
         // Weighted by what each place rests on.
         let weight =
             |it: &Place| (1.0 / it.readings.map(|n| 1.0 / n as f64).iter().sum::<f64>()).sqrt();
-        let mut triangle = Triangle::new(1 + columns.len());
+        let mut triangle = GivensQr::new(1 + columns.len());
         for it in places {
             let w = weight(it);
             let x: Vec<f64> = row(it).iter().map(|x| w * x).collect();

@@ -4,7 +4,7 @@
 //! positions what a line through its readings says: a slope along the axis, and the backlash.
 
 use trueup_machine::{Location, Machine, RunFile, file::LinearAxis, model::is_reverse};
-use trueup_numerics::{least_squares::Triangle, robust::in_relation, t_quantile};
+use trueup_numerics::{least_squares::GivensQr, robust::in_relation, t_quantile};
 
 /// A day, counted from 1970-01-01.
 pub type Day = i64;
@@ -87,7 +87,7 @@ pub fn of_machine(machine: &Machine) -> Vec<Constant> {
         if let Some(pitch) = axis.pitch.as_ref().filter(|pitch| pitch.forward_um.len() > 1) {
             let points = pitch.forward_um.iter().enumerate();
             let m = |n: usize| (pitch.start_mm + pitch.step_mm * n as f64) / 1000.0;
-            let mut line = Triangle::new(2);
+            let mut line = GivensQr::new(2);
             points.for_each(|(n, um)| line.add(&[1.0, m(n)], *um));
             if let Ok(line) = line.solve() {
                 add(format!("axis.{name}.pitch slope_um_per_m"), line.coefficients[1]);
@@ -166,7 +166,7 @@ fn of_axis(run: &RunFile, axis: LinearAxis) -> Option<OfRun> {
     let measured = format!("measured_d{name}_um");
     let listed = outliers.iter().map(|n| (run.place(rows[*n], &measured), values[*n]));
     let listed = listed.collect();
-    let mut line = Triangle::new(count);
+    let mut line = GivensQr::new(count);
     for (n, row) in rows.into_iter().enumerate() {
         if !outliers.contains(&n) {
             line.add(&columns(row), um[row]);

@@ -10,14 +10,14 @@
 //! the resolution of a single measurement: half its own interval, or twice what the line leaves.
 
 use serde::Serialize;
-use trueup_numerics::{least_squares::Triangle, t_quantile};
+use trueup_numerics::{least_squares::GivensQr, t_quantile};
 
 use crate::dated::{Constant, Day, text_of};
 
 /// Days of a year.
 const YEAR: f64 = 365.25;
 /// A line needs as many days for an interval.
-const FEWEST: usize = 3;
+const MIN: usize = 3;
 
 /// One measurement of a constant.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -142,12 +142,12 @@ fn trend(name: &str, found: &[(Day, Constant)], limit: Option<f64>, today: Optio
         step: None,
         sentence: String::new(),
     };
-    let mut line = Triangle::new(2);
+    let mut line = GivensQr::new(2);
     it.points.iter().for_each(|point| line.add(&[1.0, point.days / YEAR], point.value));
-    let solved = if dates.len() >= FEWEST { line.solve().ok() } else { None };
+    let solved = if dates.len() >= MIN { line.solve().ok() } else { None };
     let Some(line) = solved else {
         it.sentence = format!(
-            "measured on {} {}: a trend needs {FEWEST}.",
+            "measured on {} {}: a trend needs {MIN}.",
             dates.len(),
             if dates.len() == 1 { "day" } else { "days" }
         );

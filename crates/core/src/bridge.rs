@@ -24,7 +24,7 @@
 //! | does not engage, or is not referenced | | to 0, at the slew limit | ramping out |
 //! | any of these, offset arrived at 0 | sensor and temperatures believable | 0 | off |
 //! | any of these, offset arrived at 0 | faulty or missing | none | fault |
-//! | any, while the offset is barred ([`State::bar`]) | | to 0, at the slew limit; then none | ramping out; fault |
+//! | any, while the offset is barred ([`State::inhibit`]) | | to 0, at the slew limit; then none | ramping out; fault |
 //!
 //! Lost and returned is no jump: every way back goes through the slew limit. From one source of the
 //! elongation to another the offset goes on where it was (`sources`).
@@ -56,9 +56,9 @@ mod slope;
 mod sources;
 mod state;
 
-pub use self::agreement::{LASTS_STEPS, LEAST_NM};
+pub use self::agreement::{LASTS_STEPS, MIN_NM};
 pub use self::conditions::CONDITIONS_TIMEOUTS;
-pub use self::joint::KeptJoint;
+pub use self::joint::RetainedJoint;
 use self::joint::SelectedSource;
 pub use self::lost::LostInputs;
 use self::needs::RequiredInputs;
@@ -130,7 +130,7 @@ impl<'a> Bridge<'a> {
     /// The effects of a message are computed here and not in every tick: the errors of the axes that
     /// depend on this position, the tool direction. A CNC that stands still sends the same again,
     /// and that costs nothing.
-    pub fn hear(&self, state: &mut State, command: Command) {
+    pub fn receive(&self, state: &mut State, command: Command) {
         let timeout_ms = self.calibration.limits.link_timeout_ms;
         match command {
             Command::Control(control) => {
@@ -140,20 +140,20 @@ impl<'a> Bridge<'a> {
                 if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
                     state.zeroed |= self.zero(state);
                 }
-                state.control.hear(control);
+                state.control.receive(control);
                 state.cnc_known = true;
             }
             Command::Spindle(spindle) => {
-                state.spindle.hear(spindle);
+                state.spindle.receive(spindle);
                 if self.needs.category_speed && state.heat.turn(&self.calibration, spindle.speed) {
                     self.term_warmed(state);
                 }
             }
-            Command::Conditions(conditions) => self.hear_conditions(state, conditions),
-            Command::Rotary(Rotary { angles }) => self.hear_angles(state, angles),
+            Command::Conditions(conditions) => self.receive_conditions(state, conditions),
+            Command::Rotary(Rotary { angles }) => self.receive_angles(state, angles),
             Command::Position(heard) => {
                 if let Some(axis) = self.calibration.axes.get(heard.axis as usize)
-                    && state.hear_position(heard, axis)
+                    && state.receive_position(heard, axis)
                 {
                     self.moved(state, heard.axis);
                 }
@@ -173,12 +173,12 @@ impl<'a> Bridge<'a> {
         let limits = &self.calibration.limits;
         let elapsed_ms = now.since(state.now);
         state.now = now;
-        state.grow_older(elapsed_ms);
+        state.advance_ages(elapsed_ms);
 
         let spindle = state.spindle.value(limits.link_timeout_ms);
         let speed = spindle.map(|spindle| spindle.speed).or(input.speed);
         if let Some(codes) = input.codes {
-            self.sense(state, codes, speed);
+            self.process_samples(state, codes, speed);
         }
         if let Some(raw) = input.temperatures {
             // Word by word: as a whole it is a call of `memmove`, at ten times the cost.
@@ -186,7 +186,7 @@ impl<'a> Bridge<'a> {
             state.raw = [a, b, c, d, e, f, g, h];
             state.raw_age = Age::NEW;
         }
-        self.heat_up(state, elapsed_ms, speed);
+        self.step_thermal(state, elapsed_ms, speed);
 
         let chosen = self.select(state, elapsed_ms);
         let place = self.knows_place(state);
@@ -225,7 +225,7 @@ impl<'a> Bridge<'a> {
             },
             Mode::Hold => Quality::Hold,
             Mode::RampOut if !state.applied.is_zero() => Quality::RampingOut,
-            Mode::RampOut if state.barred || self.is_faulty(state, chosen) => Quality::Fault,
+            Mode::RampOut if state.inhibited || self.is_faulty(state, chosen) => Quality::Fault,
             Mode::RampOut => Quality::Off,
         };
         let flags = Flags::NONE
@@ -257,7 +257,12 @@ impl<'a> Bridge<'a> {
     }
 
     /// Codes to elongation.
-    fn sense(&self, state: &mut State, codes: &[Code; CODES_PER_TICK], speed: Option<Rpm>) {
+    fn process_samples(
+        &self,
+        state: &mut State,
+        codes: &[Code; CODES_PER_TICK],
+        speed: Option<Rpm>,
+    ) {
         if state.codes_age.is_above(1) {
             state.health.interrupt();
         }
@@ -271,7 +276,7 @@ impl<'a> Bridge<'a> {
             Some((clean, scale)) => {
                 if let Some(reading) = state.filter.tick(clean, speed) {
                     match speed.filter(|_| turns) {
-                        Some(speed) => state.run_out.hear(clean, reading, speed),
+                        Some(speed) => state.run_out.receive(clean, reading, speed),
                         None => state.run_out.stop(),
                     }
                     let reading = scale.of(reading);
@@ -284,7 +289,7 @@ impl<'a> Bridge<'a> {
 
     /// Every 100 ms each temperature is read once, then each part of the heat is stepped once, and then the
     /// sources are asked what they say: one of them a millisecond, and in most milliseconds none.
-    fn heat_up(&self, state: &mut State, elapsed_ms: u32, speed: Option<Rpm>) {
+    fn step_thermal(&self, state: &mut State, elapsed_ms: u32, speed: Option<Rpm>) {
         for _ in 0..elapsed_ms.min(STEP_MS) {
             let phase = if state.phase_ms >= STEP_MS { 0 } else { state.phase_ms };
             state.phase_ms = phase.saturating_add(1);
@@ -357,7 +362,7 @@ impl<'a> Bridge<'a> {
             let raw = if fresh { *raw } else { Raw::NONE };
             let reading = thermometer.measure(raw, state.supply());
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
-            state.channels.hear_within(number, reading, &limit);
+            state.channels.receive_within(number, reading, &limit);
         }
     }
 

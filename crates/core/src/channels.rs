@@ -15,7 +15,7 @@ pub type RawTemperatures = [Raw; CHANNELS];
 /// From one reading to the next no thermometer moves by more: its element follows what it touches with a
 /// time constant of a second or more (a sheathed PT100 in flowing water; on a machine's part it is slower), and what
 /// it touches does not jump by more than from ice to boiling coolant: 100 K·(1 − e^(−0.1 s/1 s)) = 9.5 K.
-pub const MOST_PER_READING: Temperature = Temperature(10 * Temperature::PER_KELVIN);
+pub const MAX_PER_READING: Temperature = Temperature(10 * Temperature::PER_KELVIN);
 
 /// A temperature channel: its last good reading, until it is given up.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,18 +31,18 @@ pub struct Channel {
 }
 
 impl Channel {
-    /// Takes a reading of a channel that no law uses, as [`Self::hear_within`].
-    pub fn hear(&mut self, reading: Option<Temperature>) {
-        self.hear_within(reading.ok_or(Fault::Missing), &RateLimit::default(), false);
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_within`].
+    pub fn receive(&mut self, reading: Option<Temperature>) {
+        self.receive_within(reading.ok_or(Fault::Missing), &RateLimit::default(), false);
     }
 
     /// Takes what the channel's thermometer reads. None is bad, and so is a change that is faster than the limit, or
-    /// without one a jump by more than [`MOST_PER_READING`]; `agrees`: another one of the same law does.
+    /// without one a jump by more than [`MAX_PER_READING`]; `agrees`: another one of the same law does.
     ///
     /// A single bad reading changes nothing, because a spark from the drives can cause one. After
     /// [`FAULT_AFTER_READINGS`] in a row the channel is given up, until as many agree among themselves. After a start
     /// any is taken until this many have agreed: a converter's first results are none, or not yet settled.
-    pub fn hear_within(
+    pub fn receive_within(
         &mut self,
         reading: Result<Temperature, Fault>,
         limit: &RateLimit,
@@ -56,7 +56,7 @@ impl Channel {
         let before = core::mem::replace(&mut self.before, reading);
         let is_new = self.agreed < FAULT_AFTER_READINGS;
         let near = |it: Temperature, now: Temperature| {
-            it.0.abs_diff(now.0) <= MOST_PER_READING.0.unsigned_abs()
+            it.0.abs_diff(now.0) <= MAX_PER_READING.0.unsigned_abs()
         };
         let follows = match reading {
             None => {
@@ -124,27 +124,27 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Takes a reading of a channel that no law uses, as [`Self::hear_within`].
-    pub fn hear(&mut self, number: usize, reading: Option<Temperature>) {
-        self.hear_within(number, reading.ok_or(Fault::Missing), &RateLimit::default());
+    /// Takes a reading of a channel that no law uses, as [`Self::receive_within`].
+    pub fn receive(&mut self, number: usize, reading: Option<Temperature>) {
+        self.receive_within(number, reading.ok_or(Fault::Missing), &RateLimit::default());
     }
 
-    /// Takes what the thermometer of a channel reads, as [`Channel::hear_within`]. One that has stopped while another has not
+    /// Takes what the thermometer of a channel reads, as [`Channel::receive_within`]. One that has stopped while another has not
     /// reads nothing that could be believed ([`Stillness`]).
-    pub fn hear_within(
+    pub fn receive_within(
         &mut self,
         number: usize,
         reading: Result<Temperature, Fault>,
         limit: &RateLimit,
     ) {
         let Some(stillness) = self.stillness.get_mut(number) else { return };
-        stillness.hear(reading.ok());
+        stillness.receive(reading.ok());
         let is_going = stillness.is_going();
         let is_stuck = stillness.is_still() && self.going != IndexSet::default();
         let agrees = reading.is_ok_and(|now| self.agrees(limit.partners, now));
         let reading = if is_stuck { Err(Fault::Missing) } else { reading };
         let Some(channel) = self.channels.get_mut(number) else { return };
-        channel.hear_within(reading, limit, agrees);
+        channel.receive_within(reading, limit, agrees);
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
             (&mut self.faulty, channel.is_faulty()),

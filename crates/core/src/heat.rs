@@ -12,7 +12,7 @@ use crate::{
     cnc::Conditions,
     dimensions::{CHANNELS, MAX_TERMS},
     gradient::Gradient,
-    heat_memory::{HeatMemory, KeptLag, Key},
+    heat_memory::{HeatMemory, Key, RetainedLag},
     lag::{Lag, SmoothingFactor},
     learned::Learned,
     set::IndexSet,
@@ -64,7 +64,7 @@ const FASTEST_AXIS: SmoothingFactor = SmoothingFactor::ONE_SECOND;
 
 /// What is farther from the smoothed value is no noise, and is followed at once: half a kelvin, as in
 /// [`thermal_rate`](crate::thermal_rate). So the first result of a converter, which may be far off, does not linger.
-const MOST_NOISE: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
+const MAX_NOISE: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
 
 /// The remainder of an error of heat at which the heat counts as known: 1 µm.
 const LEFT_NM: i64 = 1_000;
@@ -202,12 +202,12 @@ impl Heat {
         let with_lags = self.axes.iter().map(|axis| axis.lag).zip(axis_keys(calibration));
         for (lag, key) in with_lags.chain([(self.spindle, spindle_key(calibration))]) {
             if let (Some(lag), Some(key)) = (lag, key) {
-                memory.keep(KeptLag { key, lag, running_ms: 0 });
+                memory.keep(RetainedLag { key, lag, running_ms: 0 });
             }
         }
         if let Some(key) = running_key(calibration) {
             let warmup::State { running_ms, heat } = self.running;
-            memory.keep(KeptLag { key, lag: heat, running_ms });
+            memory.keep(RetainedLag { key, lag: heat, running_ms });
         }
         self.terms.keep(&calibration.terms, &mut memory);
         memory
@@ -327,7 +327,7 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
 }
 
 fn is_beyond_noise(smoothed: Lag, temperature: Temperature) -> bool {
-    smoothed.value().abs_diff(temperature.0) > MOST_NOISE
+    smoothed.value().abs_diff(temperature.0) > MAX_NOISE
 }
 
 /// Moves a lag one step. Returns the lagged temperature; a lag starts settled at the first temperature that it sees.

@@ -5,7 +5,7 @@
 //! loaded meanwhile, and a part is as warm as it was.
 //!
 //! Nor does it stop cooling because the power is gone. Where a clock says for how long it was, each lag goes on
-//! over that time ([`KeptLag::after`]). All of this is done once a second at most, so its size counts and not its
+//! over that time ([`RetainedLag::after`]). All of this is done once a second at most, so its size counts and not its
 //! time: nothing is inlined.
 
 use crate::{
@@ -15,7 +15,7 @@ use crate::{
 };
 
 /// Lags of a calibration at most: three axes, the spindle, its running time, the terms.
-pub const MOST_LAGS: usize = 5 + MAX_TERMS;
+pub const MAX_LAGS: usize = 5 + MAX_TERMS;
 
 /// The input of a lag, and its time constants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +52,7 @@ impl Key {
 
 /// One lag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct KeptLag {
+pub struct RetainedLag {
     /// Which.
     pub key: Key,
     /// The value it has reached.
@@ -65,10 +65,10 @@ pub struct KeptLag {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeatMemory {
     /// As many as there are, from the first on.
-    pub lags: [Option<KeptLag>; MOST_LAGS],
+    pub lags: [Option<RetainedLag>; MAX_LAGS],
 }
 
-impl KeptLag {
+impl RetainedLag {
     /// Returns the same after this many steps of [`STEP_MS`](crate::dimensions::STEP_MS) without power: the spindle
     /// stood, and what had grown since the start went back as fast. A lag of a temperature makes up for them with
     /// the first reading that it sees. The same at once after none: a reset is no stop.
@@ -89,15 +89,16 @@ impl KeptLag {
 
 impl Default for HeatMemory {
     fn default() -> Self {
-        Self { lags: [None; MOST_LAGS] }
+        Self { lags: [None; MAX_LAGS] }
     }
 }
 
 impl HeatMemory {
     /// Takes in one more; the same one again is no more.
     #[inline(never)]
-    pub fn keep(&mut self, kept: KeptLag) {
-        let is_its = |place: &&mut Option<KeptLag>| place.is_none_or(|there| there.key == kept.key);
+    pub fn keep(&mut self, kept: RetainedLag) {
+        let is_its =
+            |place: &&mut Option<RetainedLag>| place.is_none_or(|there| there.key == kept.key);
         if let Some(place) = self.lags.iter_mut().find(is_its) {
             *place = Some(kept);
         }
@@ -106,7 +107,7 @@ impl HeatMemory {
     /// Returns what the lag with this key had reached.
     #[must_use]
     #[inline(never)]
-    pub fn find(&self, key: Key) -> Option<KeptLag> {
+    pub fn find(&self, key: Key) -> Option<RetainedLag> {
         self.lags.into_iter().flatten().find(|kept| kept.key == key)
     }
 }
@@ -121,9 +122,9 @@ mod tests {
     /// Twice as fast.
     const FAST: SmoothingFactor = SmoothingFactor(42_735_832);
 
-    fn kept(input: u8) -> KeptLag {
+    fn kept(input: u8) -> RetainedLag {
         let key = Key { input, rising: SLOW, falling: FAST };
-        KeptLag { key, lag: Lag::settled(200_000_000), running_ms: 90_000 }
+        RetainedLag { key, lag: Lag::settled(200_000_000), running_ms: 90_000 }
     }
 
     #[test]
@@ -135,7 +136,7 @@ mod tests {
             smoothing_cooling: FAST,
             full: 0,
         };
-        let KeptLag { lag, running_ms, .. } = kept(Key::RUNNING);
+        let RetainedLag { lag, running_ms, .. } = kept(Key::RUNNING);
         let mut state = State { running_ms, heat: lag };
         for steps in 1..2_000 {
             law.step(&mut state, 0);
@@ -162,7 +163,7 @@ mod tests {
     #[test]
     fn what_is_kept_again_takes_its_own_place_and_no_other() {
         let mut memory = HeatMemory::default();
-        let later = |input| KeptLag { running_ms: 5, ..kept(input) };
+        let later = |input| RetainedLag { running_ms: 5, ..kept(input) };
         for one in [kept(1), kept(2), kept(3), later(2), later(3)] {
             memory.keep(one);
         }

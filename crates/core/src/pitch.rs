@@ -225,11 +225,11 @@ mod tests {
 
     /// Up to ±5 mm.
     fn steep(seed: &mut u64) -> i32 {
-        const MOST: i64 = 5_000_000 * 256;
-        let value = i64::from(random(seed)) % (2 * MOST + 1) - MOST;
+        const MAX: i64 = 5_000_000 * 256;
+        let value = i64::from(random(seed)) % (2 * MAX + 1) - MAX;
         match random(seed) % 4 {
-            0 => MOST as i32,
-            1 => -MOST as i32,
+            0 => MAX as i32,
+            1 => -MAX as i32,
             _ => value as i32,
         }
     }

@@ -29,9 +29,9 @@ pub const WINDOW_MS: u16 = 1 << WINDOW_BITS;
 /// This many means are asked for the least: a spindle may need as long to reach its speed.
 pub const FAMILY_WINDOWS: u8 = 16;
 /// An amplitude of half the family's or less is a quarter of its square.
-const LEAST_SHARE: u32 = 4;
+const MIN_SHARE: u32 = 4;
 /// One of four times the family's is 16 times its square.
-const MOST_SHARE: u32 = 16;
+const MAX_SHARE: u32 = 16;
 /// Half the square of an amplitude of 41 codes (5 µm), in 1/256 codes².
 const CUTTING: u32 = 41 * 41 / 2 * 256;
 /// This many means in a row have to be odd.
@@ -63,7 +63,7 @@ impl RunOut {
 
     /// Takes a millisecond of codes of a spindle that turns, and the reading at its end.
     #[inline]
-    pub fn hear(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Rpm) {
+    pub fn receive(&mut self, codes: &[Code; CODES_PER_TICK], reading: Reading, speed: Rpm) {
         if speed != self.speed {
             self.begin(speed);
         }
@@ -84,7 +84,7 @@ impl RunOut {
 
     /// Returns whether it is another one than it was.
     #[must_use]
-    pub fn is_odd(&self) -> bool {
+    pub fn is_anomalous(&self) -> bool {
         self.speed != Rpm(0) && self.odd >= ODD_WINDOWS
     }
 
@@ -104,8 +104,8 @@ impl RunOut {
             self.family = if self.windows == 1 { mean } else { self.family.min(mean) };
             return;
         }
-        let is_less = mean < self.family / LEAST_SHARE;
-        let is_more = mean > CUTTING && mean / MOST_SHARE > self.family;
+        let is_less = mean < self.family / MIN_SHARE;
+        let is_more = mean > CUTTING && mean / MAX_SHARE > self.family;
         self.odd = if is_less || is_more { self.odd.saturating_add(1) } else { 0 };
     }
 }
@@ -128,10 +128,10 @@ mod tests {
             if speed == Rpm(0) {
                 it.stop();
             } else {
-                it.hear(&codes, Reading(700 * READINGS_PER_CODE), speed);
+                it.receive(&codes, Reading(700 * READINGS_PER_CODE), speed);
             }
         }
-        it.is_odd()
+        it.is_anomalous()
     }
 
     #[test]
@@ -156,7 +156,7 @@ mod tests {
                     "10 codes, then {then}; {hz} Hz"
                 );
                 turn(&mut it, 1, 10.0, hz, SPEED);
-                assert!(!it.is_odd(), "what has come back is told no more");
+                assert!(!it.is_anomalous(), "what has come back is told no more");
             }
         }
     }
@@ -181,8 +181,8 @@ mod tests {
                     let codes = core::array::from_fn(|n| {
                         Code((700.0 + 10.0 * (turns(n) * core::f64::consts::TAU).sin()) as u16)
                     });
-                    it.hear(&codes, Reading(700 * READINGS_PER_CODE), SPEED);
-                    assert!(!it.is_odd(), "{hz} Hz, {eighth}/8, {ms} ms");
+                    it.receive(&codes, Reading(700 * READINGS_PER_CODE), SPEED);
+                    assert!(!it.is_anomalous(), "{hz} Hz, {eighth}/8, {ms} ms");
                 }
             }
         }
@@ -194,7 +194,7 @@ mod tests {
             let mut it = RunOut::default();
             turn(&mut it, 20, 10.0, 200.0, SPEED);
             turn(&mut it, 3, 1.0, 200.0, SPEED);
-            assert!(it.is_odd());
+            assert!(it.is_anomalous());
             assert!(!turn(&mut it, 5, 1.0, 200.0, next));
             assert!(!turn(&mut it, 20, 80.0, 200.0, SPEED), "after it");
         }
@@ -213,8 +213,8 @@ mod tests {
         let mut it = RunOut::default();
         turn(&mut it, 20, 10.0, 200.0, SPEED);
         for _ in 0..2 * WINDOW_MS {
-            it.hear(&[Code(4095); CODES_PER_TICK], Reading(0), SPEED);
+            it.receive(&[Code(4095); CODES_PER_TICK], Reading(0), SPEED);
         }
-        assert!(it.is_odd());
+        assert!(it.is_anomalous());
     }
 }

@@ -8,7 +8,7 @@
 //! row (by noise of half a step alone 0.52⁴⁰⁰), it is still.
 //!
 //! Noise that comes from outside, a drive's, ends with the drive, and for all thermometers at once. So one that is
-//! still counts as stuck only next to another that is lively and has changed of late ([`crate::channels::Channels::hear`]);
+//! still counts as stuck only next to another that is lively and has changed of late ([`crate::channels::Channels::receive`]);
 //! a board with one thermometer never says so.
 
 use crate::units::Temperature;
@@ -18,9 +18,9 @@ pub const STILL_READINGS: u16 = 400;
 /// A swing outweighs this many readings without one.
 const PER_SWING: u16 = 23;
 /// As far as the weight goes: a minute of noise of one step RMS brings it there.
-const MOST: u16 = 1_000;
+const MAX: u16 = 1_000;
 /// Lively up to here: above what is left of the largest weight when a stop has been counted to its end.
-const LIVELY: u16 = MOST - STILL_READINGS - 100;
+const LIVELY: u16 = MAX - STILL_READINGS - 100;
 /// One that has changed within 2 s is going.
 const GOING_READINGS: u16 = 20;
 
@@ -43,7 +43,7 @@ impl Stillness {
     /// Takes a reading; one that failed says nothing.
     // Once in the image.
     #[inline(never)]
-    pub fn hear(&mut self, reading: Option<Temperature>) {
+    pub fn receive(&mut self, reading: Option<Temperature>) {
         let Some(now) = reading else { return };
         let last = self.last.replace(now).unwrap_or(now);
         self.equal = if now == last { self.equal.saturating_add(1) } else { 0 };
@@ -57,7 +57,7 @@ impl Stillness {
             self.is_rising = is_rising;
         }
         self.weight = if swings {
-            self.weight.saturating_add(PER_SWING).min(MOST)
+            self.weight.saturating_add(PER_SWING).min(MAX)
         } else {
             self.weight.saturating_sub(1)
         };
@@ -104,16 +104,16 @@ mod tests {
         for others_go_on in [true, false] {
             let mut channels = Channels::default();
             for n in 0..3_000 {
-                channels.hear(0, noisy(n, 5));
-                channels.hear(1, noisy(n, 6));
-                channels.hear(2, noisy(n, 1_000));
+                channels.receive(0, noisy(n, 5));
+                channels.receive(1, noisy(n, 6));
+                channels.receive(2, noisy(n, 1_000));
             }
             assert_eq!(faulty(&channels), [false; 3]);
             let stops = |channels: &mut Channels, n: u32| {
-                channels.hear(0, Some(Temperature(20_000)));
+                channels.receive(0, Some(Temperature(20_000)));
                 channels
-                    .hear(1, if others_go_on { noisy(n, 6) } else { Some(Temperature(20_000)) });
-                channels.hear(2, Some(Temperature(20_000)));
+                    .receive(1, if others_go_on { noisy(n, 6) } else { Some(Temperature(20_000)) });
+                channels.receive(2, Some(Temperature(20_000)));
                 faulty(channels)
             };
             let told = (1..10_000).find(|n| stops(&mut channels, *n)[0]);
@@ -122,12 +122,12 @@ mod tests {
                 assert!((400..=404).contains(&readings), "{readings}");
                 assert_eq!(faulty(&channels), [true, false, false], "a quiet one is not judged");
                 for n in 0..100 {
-                    channels.hear(1, noisy(n, 6));
-                    channels.hear(0, Some(Temperature(20_000)));
+                    channels.receive(1, noisy(n, 6));
+                    channels.receive(0, Some(Temperature(20_000)));
                 }
                 assert!(channels.is_faulty(0), "for as long as it stands");
                 for n in 1..5 {
-                    channels.hear(0, Some(Temperature(20_000 + 100 * n)));
+                    channels.receive(0, Some(Temperature(20_000 + 100 * n)));
                 }
                 assert!(!channels.is_faulty(0), "and is believed again with its fourth");
             }
@@ -144,9 +144,9 @@ mod tests {
         let quick = |n: i32| if n < 2 { 100 * n } else { 200 * n };
         for reading in [edge, steps, both, seldom, quick] {
             let mut it = Stillness::default();
-            (0..20_000).for_each(|n| it.hear(Some(Temperature(reading(n)))));
+            (0..20_000).for_each(|n| it.receive(Some(Temperature(reading(n)))));
             assert!(!it.is_going());
-            (0..1_000).for_each(|_| it.hear(Some(Temperature(5_000_000))));
+            (0..1_000).for_each(|_| it.receive(Some(Temperature(5_000_000))));
             assert!(!it.is_still());
         }
     }

@@ -52,7 +52,7 @@ impl Scale {
     /// let mut supply = Supply::default();
     /// supply.set_basis(trueup_core::supply::Level(1500 * 16));
     /// // The supply has fallen by 1 %: all codes are 1.01 times as large.
-    /// (0..1000).for_each(|_| supply.hear(Code(1515)));
+    /// (0..1000).for_each(|_| supply.receive(Code(1515)));
     /// let reading = supply.scale().of(Reading(1_010_000));
     /// assert!((reading.0 - 1_000_000).abs() <= 1);
     /// ```
@@ -77,7 +77,7 @@ impl Scale {
 pub struct Supply {
     /// The mean in 1/65536 codes.
     level: u32,
-    heard: u32,
+    received: u32,
     /// In 1/65536 codes; 0: none yet.
     basis: u32,
     is_off: bool,
@@ -88,15 +88,15 @@ impl Supply {
     const LEVEL_SHIFT: u32 = Self::FRACTION_BITS - 4;
 
     /// Takes a code of the internal reference, one in 10 ms.
-    pub fn hear(&mut self, code: Code) {
+    pub fn receive(&mut self, code: Code) {
         let code = i64::from(code.0.min(Code::MAX.0)) << Self::FRACTION_BITS;
-        self.heard = self.heard.saturating_add(1);
-        let share = i64::from(self.heard.min(AVERAGED));
+        self.received = self.received.saturating_add(1);
+        let share = i64::from(self.received.min(AVERAGED));
         let from_level = code.wrapping_sub(i64::from(self.level));
         // Between the two: never negative, never above the largest code.
         let level = i64::from(self.level).wrapping_add(from_level.checked_div(share).unwrap_or(0));
         self.level = u32::try_from(level).unwrap_or(0);
-        if self.basis == 0 && self.heard >= TO_BASIS {
+        if self.basis == 0 && self.received >= TO_BASIS {
             self.basis = self.level;
         }
         let limit = if self.is_off { BACK_PER_MILLE } else { OFF_PER_MILLE };
@@ -143,7 +143,7 @@ mod tests {
     fn settled(basis: u16, code: u16) -> Supply {
         let mut supply = Supply::default();
         supply.set_basis(Level(basis * 16));
-        (0..2_000).for_each(|_| supply.hear(Code(code)));
+        (0..2_000).for_each(|_| supply.receive(Code(code)));
         supply
     }
 
@@ -169,9 +169,9 @@ mod tests {
         }
         let mut supply = settled(1500, 1400);
         assert!(supply.is_off());
-        (0..2_000).for_each(|_| supply.hear(Code(1457)));
+        (0..2_000).for_each(|_| supply.receive(Code(1457)));
         assert!(supply.is_off(), "2.87 % are still too much");
-        (0..2_000).for_each(|_| supply.hear(Code(1459)));
+        (0..2_000).for_each(|_| supply.receive(Code(1459)));
         assert!(!supply.is_off());
     }
 
@@ -180,7 +180,7 @@ mod tests {
         let mut supply = Supply::default();
         for n in 0..TO_BASIS {
             assert_eq!((supply.basis(), supply.scale()), (Level(0), Scale::ONE), "{n}");
-            supply.hear(Code(1500));
+            supply.receive(Code(1500));
         }
         assert_eq!(supply.basis(), Level(1500 * 16));
         assert_eq!(supply.scale(), Scale::ONE);
@@ -192,7 +192,7 @@ mod tests {
         let mut seed = 5;
         // ±4 codes, evenly: 2.3 codes RMS.
         for _ in 0..TO_BASIS {
-            supply.hear(Code(1496 + (crate::testing::random(&mut seed) % 9) as u16));
+            supply.receive(Code(1496 + (crate::testing::random(&mut seed) % 9) as u16));
         }
         // Of 2.6 codes RMS the mean leaves 0.33: within four of them.
         assert!((i32::from(supply.basis().0) - 1500 * 16).abs() < 4 * 16 * 33 / 100 + 1);
@@ -201,7 +201,7 @@ mod tests {
     #[test]
     fn a_step_of_the_supply_is_followed_within_a_second_and_a_half() {
         let mut supply = settled(1500, 1500);
-        (0..150).for_each(|_| supply.hear(Code(1530)));
+        (0..150).for_each(|_| supply.receive(Code(1530)));
         let reading = supply.scale().of(Reading(1_020_000));
         // e^(−150/32) of 2 % is left.
         assert!((reading.0 - 1_000_000).abs() < 20_000 / 100, "{reading:?}");
@@ -213,7 +213,7 @@ mod tests {
             for code in [0, 1, 4095, u16::MAX] {
                 let mut supply = Supply::default();
                 supply.set_basis(Level(basis));
-                (0..300).for_each(|_| supply.hear(Code(code)));
+                (0..300).for_each(|_| supply.receive(Code(code)));
                 for raw in [i32::MIN, -1, 0, 1, i32::MAX] {
                     let scaled = supply.scale().of_raw(raw);
                     assert!(scaled.signum() * raw.signum() >= 0, "{basis}, {code}: {scaled}");
@@ -230,7 +230,7 @@ mod tests {
             (supply.basis(), supply.scale(), supply.is_off()),
             (Level(0), Scale::ONE, false)
         );
-        (0..TO_BASIS).for_each(|_| supply.hear(Code(1400)));
+        (0..TO_BASIS).for_each(|_| supply.receive(Code(1400)));
         assert_eq!((supply.basis(), supply.is_off()), (Level(1400 * 16), false));
     }
 }

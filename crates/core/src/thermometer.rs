@@ -306,7 +306,7 @@ mod tests {
     fn a_linear_chain_is_measured_by_the_supply_and_a_pt100_is_not() {
         let mut supply = Supply::default();
         supply.set_basis(Level(1_500 * 16));
-        (0..500).for_each(|_| supply.hear(Code(1_515)));
+        (0..500).for_each(|_| supply.receive(Code(1_515)));
         let scale = Some(supply.scale());
         let at = |raw: i32, scale| PAPER.measure(Raw(raw), scale);
         assert_eq!(at(1_010_000, scale), PAPER.read(Raw(1_000_000)));

@@ -108,7 +108,7 @@ fn live(machine: &Machine, phases: &[Phase], mut watch: impl FnMut(Output, u32, 
         for tick in 0..phase.ticks {
             // As a CNC does: now and then, not in every millisecond.
             if tick % 16 == 0 {
-                phase.heard.iter().for_each(|command| bridge.hear(&mut state, *command));
+                phase.heard.iter().for_each(|command| bridge.receive(&mut state, *command));
             }
             now = now.after(phase.elapsed_ms);
             let output = bridge.tick(

@@ -11,7 +11,7 @@ use serde::Serialize;
 use trueup_diagnose::{Diagnosis, Options, diagnose_for};
 use trueup_machine::{
     MachineFile, RunFile,
-    applied::{Unaided, require_applied_once},
+    applied::{Uncompensated, require_applied_once},
     compile,
     file::Quantity,
     predict::Predictor,
@@ -102,7 +102,7 @@ pub struct ActOne {
 pub fn act_one(boards: &Boards, asked: &Asked<'_>, progress: &mut Progress<'_>) -> Result<ActOne> {
     let (source, mut notes) = bench::connected(asked.source, asked.run)?;
     let machine = MachineFile::parse(&source, asked.path)?;
-    let (run, told) = Unaided::of(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
+    let (run, told) = Uncompensated::of(Cow::Borrowed(asked.run), Some(&machine), asked.quantity)?;
     notes.extend(told);
     for quantity in Quantity::ALL {
         require_applied_once(std::slice::from_ref(&run), Some(&machine), quantity)?;

@@ -16,7 +16,7 @@ const LARGEST_UM: f64 = 4_000.0;
 /// The rate of a thermometer that the board believes where the file states none, in K/min.
 const DEFAULT_C_PER_MIN: f64 = thermal_rate::DEFAULT_TENTHS as f64 / 10.0;
 /// The largest rate that a file may state, in K/min.
-const MOST_C_PER_MIN: f64 = thermal_rate::MAX_TENTHS as f64 / 10.0;
+const MAX_C_PER_MIN: f64 = thermal_rate::MAX_TENTHS as f64 / 10.0;
 /// The board has this many temperature channels.
 const CHANNELS: i64 = 8;
 
@@ -76,7 +76,7 @@ pub fn machine(source: &str, faster: f64) -> Result<Machine> {
     let inputs = machine.inputs.iter_mut().flat_map(|inputs| inputs.temperatures.values_mut());
     for input in inputs {
         let c_per_min = input.max_c_per_min.unwrap_or(DEFAULT_C_PER_MIN);
-        input.max_c_per_min = Some((faster * c_per_min).clamp(DEFAULT_C_PER_MIN, MOST_C_PER_MIN));
+        input.max_c_per_min = Some((faster * c_per_min).clamp(DEFAULT_C_PER_MIN, MAX_C_PER_MIN));
     }
     Ok(machine)
 }

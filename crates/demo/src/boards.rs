@@ -9,7 +9,7 @@ use trueup_core::bridge::Input;
 use trueup_emulator::board::VirtualBoard;
 use trueup_link::frame::Frame;
 use trueup_machine::compile::Compiled;
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_pipe::Block;
 
 use crate::line;
@@ -38,7 +38,7 @@ impl Bridge for InProcess<'_> {
         for block in blocks {
             for frame in block.frames.iter().flatten() {
                 // What is refused is counted by the node, as on the board.
-                self.0.hear(Line::Can, frame).ok();
+                self.0.receive(Interface::Can, frame).ok();
             }
             let input = Input {
                 codes: Some(&block.codes),

@@ -22,15 +22,15 @@ use crate::{
 };
 
 /// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
-pub const LEAST_RATIO: f64 = 3.0;
+pub const MIN_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to this multiple of the noise.
-const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
+const RATIOS: [f64; 2] = [1.1 * MIN_RATIO, 10.0];
 /// A fault that must be larger than this to be seen is none of this machine: as in
 /// `docs/physical-faults.md`, a room that swings by more, in K, is no room.
 const LARGEST_SIZE: f64 = 8.0;
 /// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
 /// strong; the rule of a diagnosis as well.
-pub const LEAST_GAP: f64 = 6.0;
+pub const MIN_GAP: f64 = 6.0;
 /// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
 /// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
 /// the measurements too.
@@ -40,7 +40,7 @@ const TRIES: u64 = 200;
 
 /// A fault that is drawn.
 #[derive(Clone, Debug)]
-pub struct Drawn {
+pub struct SampledFault {
     /// The fault.
     pub fault: Fault,
     /// How much of it ([`Fault`]).
@@ -59,7 +59,7 @@ pub struct Hidden {
     /// The machine.
     pub plant: Plant,
     /// Its faults.
-    pub faults: Vec<Drawn>,
+    pub faults: Vec<SampledFault>,
     /// RMS in µm of what the file leaves of the machine without a fault.
     pub noise_um: f64,
     /// By how much the nearest answer is worse in which a fault is not named, as a difference of BIC.
@@ -134,7 +134,7 @@ impl Hidden {
                 let gaps = hidden.gaps()?;
                 hidden.gap = gaps.instead;
                 // A law of no fault next to the right ones must not better them.
-                if hidden.gap >= LEAST_GAP && gaps.beside >= 0.0 {
+                if hidden.gap >= MIN_GAP && gaps.beside >= 0.0 {
                     return Ok(hidden);
                 }
             }
@@ -230,7 +230,7 @@ impl Hidden {
 
     /// `fault` at a size at which it does `target` times the noise; none where this machine does not
     /// show it so large.
-    fn sized(&self, fault: Fault, target: f64) -> Result<Option<Drawn>> {
+    fn sized(&self, fault: Fault, target: f64) -> Result<Option<SampledFault>> {
         let mut drawn = self.at(fault, 1.0)?;
         for _ in 0..8 {
             if (drawn.ratio / target - 1.0).abs() < 0.05 {
@@ -240,14 +240,14 @@ impl Hidden {
             let size = (drawn.size * target / drawn.ratio).min(2.0 * LARGEST_SIZE);
             drawn = self.at(fault, size)?;
         }
-        Ok((drawn.size <= LARGEST_SIZE && drawn.ratio >= LEAST_RATIO).then_some(drawn))
+        Ok((drawn.size <= LARGEST_SIZE && drawn.ratio >= MIN_RATIO).then_some(drawn))
     }
 
-    fn at(&self, fault: Fault, size: f64) -> Result<Drawn> {
+    fn at(&self, fault: Fault, size: f64) -> Result<SampledFault> {
         let with = self.left(&self.plant.day(0, &[(fault, size)]), 0)?;
         let without = self.left(&self.plant.day_without(0, fault, size), 0)?;
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
-        Ok(Drawn { fault, size, ratio: self.rms_read(&um) / self.noise_um, um })
+        Ok(SampledFault { fault, size, ratio: self.rms_read(&um) / self.noise_um, um })
     }
 
     /// Measured minus predicted by the file in every row, in µm; the zero of an axis's gauge does not count.
@@ -315,8 +315,8 @@ mod tests {
         for seed in 0..4 {
             let hidden = Hidden::draw(seed).expect("can be told");
             assert!((1..=3).contains(&hidden.faults.len()));
-            assert!(hidden.gap >= LEAST_GAP, "{}", hidden.gap);
-            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= LEAST_RATIO));
+            assert!(hidden.gap >= MIN_GAP, "{}", hidden.gap);
+            assert!(hidden.faults.iter().all(|drawn| drawn.ratio >= MIN_RATIO));
             let again = Hidden::draw(seed).expect("can be told");
             assert_eq!(again.sizes(), hidden.sizes());
         }

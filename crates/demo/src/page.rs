@@ -8,7 +8,7 @@ use crate::{act_one::ActOne, act_two::ActTwo, say};
 /// A difference of BIC from which two causes are clearly distinguished.
 const CLEAR: f64 = 6.0;
 /// A table shows no more rows than that.
-const MOST_ROWS: usize = 40;
+const MAX_ROWS: usize = 40;
 
 /// Returns the page of one act or both.
 #[must_use]
@@ -136,7 +136,7 @@ fn of_act_one(page: &mut Page, one: &ActOne) {
     causes(page, &one.diagnosis.report.findings);
     let mut table =
         Table::new(&["measured, µm", "bridge as it is", "off by", "extended", "off by"]);
-    for row in one.rows.iter().step_by(one.rows.len().div_ceil(MOST_ROWS).max(1)) {
+    for row in one.rows.iter().step_by(one.rows.len().div_ceil(MAX_ROWS).max(1)) {
         table.row(&[
             format!("{:.1}", row.dial_um),
             format!("{:.2}", row.bridge_um),

@@ -26,7 +26,7 @@ const LAGS_S: [f64; 13] = [
     10_000.0,
 ];
 /// The most laws of a rival answer.
-const MOST_LAWS: usize = 3;
+const MAX_LAWS: usize = 3;
 
 /// A record, and what the file says of it.
 pub struct Record<'r> {
@@ -77,9 +77,9 @@ pub fn gaps(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> G
     let (mut unnamed, mut right) = (f64::INFINITY, (f64::INFINITY, Vec::new()));
     // All named, and something more: the best of each number of constants.
     let largest = answers.laws.iter().map(|(_, constants)| *constants).max().unwrap_or(0);
-    let mut mixed = vec![f64::INFINITY; largest * MOST_LAWS + 1];
+    let mut mixed = vec![f64::INFINITY; largest * MAX_LAWS + 1];
     let mut set = Vec::new();
-    each_set(laws.len(), MOST_LAWS, &mut set, &mut |set| {
+    each_set(laws.len(), MAX_LAWS, &mut set, &mut |set| {
         let is_named = set.iter().fold(0, |all, law| all | named[*law]) == everything;
         let bic = answers.bic(set);
         if !is_named {

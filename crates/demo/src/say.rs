@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// A table of more readings is left to the page.
-const MOST_ROWS: usize = 20;
+const MAX_ROWS: usize = 20;
 /// Rivals that are named next to a finding.
 const RIVALS: usize = 3;
 
@@ -85,7 +85,7 @@ impl ActOne {
 
     fn table(&self) -> String {
         let mut text = String::new();
-        if self.rows.len() <= MOST_ROWS {
+        if self.rows.len() <= MAX_ROWS {
             text += "             the machine file as it is    extended from the other readings\n\
                      \x20measured     bridge        off by         bridge        off by\n";
             for row in &self.rows {

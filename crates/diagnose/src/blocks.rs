@@ -53,7 +53,7 @@ impl fmt::Display for Unit {
 /// Stretches of a record: as many as a claim must gain on at least.
 const STRETCHES: usize = 6;
 /// Whole runs that are left out in turn, at least: of two, one would have to show all that the other is judged by.
-const FEWEST_RUNS: usize = 3;
+const MIN_RUNS: usize = 3;
 /// Stretches of equal length, next to those: one cut through a record may fall well or badly for a term, two of
 /// different kinds seldom do alike.
 const PLAIN: usize = 5;
@@ -61,7 +61,7 @@ const PLAIN: usize = 5;
 impl Folds {
     /// Returns the folds; blocks for intervals are at least five correlation times of `memory` steps long.
     pub(crate) fn new(problem: &Problem, memory: f64) -> Self {
-        Self::with_runs_from(problem, memory, FEWEST_RUNS)
+        Self::with_runs_from(problem, memory, MIN_RUNS)
     }
 
     /// Returns the folds of a promise: two runs differ as two days do, so that each is left out as a whole.
@@ -111,7 +111,7 @@ impl Folds {
     }
 
     /// Returns what `model`, fitted to the others, leaves in each group, each fold left out in turn.
-    pub(crate) fn left_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
+    pub(crate) fn held_out(&self, problem: &Problem, model: &Model) -> Vec<f64> {
         let first = left_out_of(problem, model, &self.of_group, self.count);
         self.averaged(problem, model, &first.0)
     }

@@ -2,7 +2,7 @@
 //! propose when they are shown the data.
 
 use trueup_machine::{
-    effect::{Effect, OnBoard, Quantity, Reading, Settings, Survey, spread},
+    effect::{DataView, Effect, OnBoard, Quantity, Reading, StartValues, spread},
     file::{AxisModel, ElongationSource, Spindle},
 };
 use trueup_numerics::parallel::on_all_cores;
@@ -62,7 +62,7 @@ fn proposed(problem: &Problem, model: &Model, residual: &[f64]) -> Vec<Candidate
         .collect();
     Effect::propose(
         &Seen { problem, model, residual },
-        &mut |effect, Settings { starts, searched }| {
+        &mut |effect, StartValues { starts, searched }| {
             let is_stated = is_stated(problem, &effect, &starts);
             let kind = Kind::Cause(effect);
             // A wave may come a second time, with another period.
@@ -158,7 +158,7 @@ impl Seen<'_> {
     }
 }
 
-impl Survey for Seen<'_> {
+impl DataView for Seen<'_> {
     fn quantity(&self) -> Quantity {
         self.data().quantity
     }
@@ -251,43 +251,43 @@ impl Survey for Seen<'_> {
         self.data().time_s.as_ref().map_or(f64::NAN, |time_s| time_s[row])
     }
 
-    fn time_constants(&self, count: usize) -> Settings {
+    fn time_constants(&self, count: usize) -> StartValues {
         let [low, high] = self.problem.bounds.time_constant_s;
         // What is within one group is not seen apart.
         let low = low.max(2.0 * low * self.problem.groups.size as f64);
         let high = 0.5 * high;
         let is_range = high.partial_cmp(&low) == Some(std::cmp::Ordering::Greater);
         if self.data().time_s.is_none() || !is_range {
-            return Settings::at([]);
+            return StartValues::at([]);
         }
         let ratio = (high / low).powf(1.0 / (count - 1) as f64);
-        Settings::at((0..count).map(|n| low * ratio.powi(n as i32)))
+        StartValues::at((0..count).map(|n| low * ratio.powi(n as i32)))
     }
 
-    fn shifts(&self) -> Settings {
+    fn shifts(&self) -> StartValues {
         let [low_s, high_s] = self.problem.bounds.shift_s;
         let sizes = self.times_up_to(high_s);
-        Settings::at(sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s))
+        StartValues::at(sizes.flat_map(|size| [size, -size]).filter(|shift| *shift >= low_s))
     }
 
-    fn lates(&self) -> Settings {
+    fn lates(&self) -> StartValues {
         let [_, high_s] = self.problem.bounds.late_s;
-        Settings::at(self.times_up_to(high_s))
+        StartValues::at(self.times_up_to(high_s))
     }
 
     fn longest_period_mm(&self) -> f64 {
         self.problem.bounds.period_mm[1]
     }
 
-    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<Settings> {
+    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<StartValues> {
         let at = self.reading(over)?;
         let (frequency, searched) = waves::peak(&at, self.residual, least_turns, frequencies)?;
-        Some(Settings { starts: vec![vec![1.0 / frequency]], searched })
+        Some(StartValues { starts: vec![vec![1.0 / frequency]], searched })
     }
 
-    fn angled_peak(&self, over: Reading<'_>) -> Option<Settings> {
+    fn angled_peak(&self, over: Reading<'_>) -> Option<StartValues> {
         let (values, searched) = waves::angled(&self.reading(over)?, self.residual)?;
-        Some(Settings { starts: vec![values], searched })
+        Some(StartValues { starts: vec![values], searched })
     }
 }
 

@@ -27,12 +27,12 @@ use crate::{
 };
 
 /// Groups that the search works on where there is time alone; rows beyond are averaged.
-const MOST_GROUPS: usize = 1000;
+const MAX_GROUPS: usize = 1000;
 /// Groups that are left where rows are put together for a late thermometer.
-const FEWEST_GROUPS: usize = 100;
+const MIN_GROUPS: usize = 100;
 /// Rows that the search works on where an axis moves: an average would blur its errors, so that of
 /// more rows this many are drawn by chance. The last fit is to all of them.
-const MOST_ROWS_MOVING: usize = 3000;
+const MAX_ROWS_MOVING: usize = 3000;
 
 /// Callback for what is being tried, and how far the search has come, 0…1 (NaN: as before).
 pub type Progress<'p> = dyn FnMut(&str, f64) + 'p;
@@ -173,12 +173,12 @@ fn searched(
             let first = first_of(mm);
             mm.iter().any(|mm| !mm.is_nan() && *mm != first)
         });
-    let size = if moves { 1 } else { rows.div_ceil(MOST_GROUPS).max(1) };
+    let size = if moves { 1 } else { rows.div_ceil(MAX_GROUPS).max(1) };
     // Made when they are needed: of a million rows one by one they take 40 MB.
     let groups = || Groups::new(data, &used, size);
-    let fewer = if moves && rows > MOST_ROWS_MOVING {
+    let fewer = if moves && rows > MAX_ROWS_MOVING {
         let mut generator = Generator::new(rows as u64);
-        let is_drawn = |used: &bool| *used && generator.below(rows) < MOST_ROWS_MOVING;
+        let is_drawn = |used: &bool| *used && generator.below(rows) < MAX_ROWS_MOVING;
         let drawn: Vec<bool> = used.iter().map(is_drawn).collect();
         let few = data.subset(&drawn);
         let groups = Groups::new(&few, &few.used.clone(), 1);
@@ -219,7 +219,7 @@ fn rows_of_a_slope(problem: &Problem, found: &Found) -> Option<usize> {
         return None;
     };
     let rows = slope_over * late.values[0] / problem.bounds.step_s;
-    let most = problem.groups.rows() as usize / FEWEST_GROUPS;
+    let most = problem.groups.rows() as usize / MIN_GROUPS;
     let size = (rows.ceil() as usize).min(most);
     (size > problem.groups.size).then_some(size)
 }

@@ -5,7 +5,7 @@
 //! amplitudes, all of which are 0 where there is no effect.
 
 use trueup_machine::{
-    effect::{Effect, HeatPath, Home, Nonlinear, OnBoard, Stage},
+    effect::{Effect, HeatPath, Nonlinear, OnBoard, Stage, Target},
     file::{Pitch, Quantity, Thermal},
 };
 
@@ -194,10 +194,12 @@ impl Kind {
             return stated.is_of_elongation;
         }
         match self.cause().map(|effect| effect.home()) {
-            Some(Home::Elongation) => true,
-            Some(Home::OwnThermometer) => own_thermal(data).is_none(),
-            Some(Home::Heat) => data.has_elongation && data.along.iter().any(|along| *along != 0.0),
-            Some(Home::Axis | Home::Any) | None => false,
+            Some(Target::Elongation) => true,
+            Some(Target::OwnThermometer) => own_thermal(data).is_none(),
+            Some(Target::Heat) => {
+                data.has_elongation && data.along.iter().any(|along| *along != 0.0)
+            }
+            Some(Target::Axis | Target::Any) | None => false,
         }
     }
 

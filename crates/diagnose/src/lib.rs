@@ -71,7 +71,7 @@ pub use answer::{
 };
 pub use diagnose::{Options, Progress, diagnose, diagnose_for};
 pub use named::{Named, NamedFit, NamedFits, fit_named};
-pub use next::{AxisRun, Gauge, Next, NoNext, Stretch, Told};
+pub use next::{AxisRun, ExpectedSeparation, Gauge, Next, NoNext, Stretch};
 use trueup_machine::{
     BadInput, Machine, RunFile,
     tool::{TOOL_COLUMN, label_code},
@@ -161,8 +161,8 @@ impl Diagnosis {
     ///
     /// # Errors
     /// A column is missing that the model needs.
-    pub fn told_apart_by(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
-        next::told_apart_by(&self.questions, &self.data, run)
+    pub fn separation_by(&self, run: &RunFile) -> Result<Option<f64>, BadInput> {
+        next::separation_by(&self.questions, &self.data, run)
     }
 
     /// Returns whether a board corrects anything by the extended machine file: not what only explains.

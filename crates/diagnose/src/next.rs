@@ -77,7 +77,7 @@ pub struct Stretch {
 
 /// The expected separation of two causes by a run.
 #[derive(Clone, Debug, Serialize)]
-pub struct Told {
+pub struct ExpectedSeparation {
     /// The cause that was named, and the one that cannot be distinguished from it.
     pub causes: [String; 2],
     /// How far their predictions come apart at most, in µm.
@@ -103,7 +103,7 @@ pub struct Next {
     /// The inputs to record next to the measured quantity: columns of the runs.
     pub inputs: Vec<String>,
     /// The causes that it separates, the question first that it was chosen for.
-    pub told: Vec<Told>,
+    pub told: Vec<ExpectedSeparation>,
 }
 
 /// Why there is none.
@@ -153,7 +153,9 @@ impl Next {
     #[must_use]
     pub fn sentence(&self) -> String {
         let mut text = self.axis.as_ref().map_or_else(|| self.of_spindle(), AxisRun::sentence);
-        for Told { causes: [one, other], difference_um, noise_um, score_gap } in &self.told {
+        for ExpectedSeparation { causes: [one, other], difference_um, noise_um, score_gap } in
+            &self.told
+        {
             text += &format!(
                 ": then {one} and {other} differ by up to {difference_um:.1} µm, {:.0} times the noise of a reading \
                  (expected score gap {score_gap:.0}; {} is strong evidence)",
@@ -204,7 +206,7 @@ pub(crate) fn next(
     if questions.is_empty() {
         return Err(NoNext::NothingOpen);
     }
-    let foreseen = foreseen(data, runs, gauge)?;
+    let foreseen = predicted(data, runs, gauge)?;
     let mut refused = None;
     for (number, question) in questions.iter().enumerate() {
         let gaps: Vec<Separation> =
@@ -220,10 +222,10 @@ pub(crate) fn next(
             refused.get_or_insert(NoNext::NotApart(question.causes.clone(), gaps[most].gap));
             continue;
         }
-        let Foreseen { next, table } = &foreseen[enough.unwrap_or(most)];
-        let mut told = vec![question.told(table)];
+        let Predicted { next, table } = &foreseen[enough.unwrap_or(most)];
+        let mut told = vec![question.expected_separation(table)];
         let others = questions.iter().enumerate().filter(|(other, _)| *other != number);
-        let others = others.map(|(_, question)| question.told(table));
+        let others = others.map(|(_, question)| question.expected_separation(table));
         told.extend(others.filter(|told| told.score_gap >= STRONG_EVIDENCE));
         return Ok(Next { told, ..next.clone() });
     }
@@ -232,7 +234,7 @@ pub(crate) fn next(
 }
 
 /// A run that is not made yet.
-struct Foreseen {
+struct Predicted {
     /// The run; the causes that it separates are not known yet.
     next: Next,
     /// The table that it will read.
@@ -240,7 +242,7 @@ struct Foreseen {
 }
 
 /// Returns all that are thought of.
-fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>, NoNext> {
+fn predicted(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Predicted>, NoNext> {
     if let Some(axis) = data.quantity.axis() {
         let foresight =
             AxisForesight::of(runs, &data.machine, axis, gauge).map_err(NoNext::NotForeseen)?;
@@ -249,7 +251,7 @@ fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>
             let table = foresight.table(&run, data)?;
             let minutes = run.minutes();
             let next = Next { minutes, axis: Some(run), ..Next::of(inputs.clone()) };
-            Some(Foreseen { next, table })
+            Some(Predicted { next, table })
         });
         return Ok(all.collect());
     }
@@ -260,13 +262,13 @@ fn foreseen(data: &Data, runs: &[RunFile], gauge: Gauge) -> Result<Vec<Foreseen>
         let minutes = stretches.iter().map(|stretch| stretch.minutes).sum();
         let every_s = foresight.every_s;
         let next = Next { stretches, minutes, every_s, ..Next::of(inputs.clone()) };
-        Some(Foreseen { next, table })
+        Some(Predicted { next, table })
     });
     Ok(all.collect())
 }
 
 /// Returns what `run` has measured for the first of `questions`.
-pub(crate) fn told_apart_by(
+pub(crate) fn separation_by(
     questions: &[Question],
     data: &Data,
     run: &RunFile,
@@ -284,7 +286,7 @@ mod tests {
     #[test]
     fn a_run_is_said_in_words_and_what_alternates_is_said_once() {
         let stretch = |rpm, minutes, load_n| Stretch { rpm, minutes, load_n };
-        let told = Told {
+        let told = ExpectedSeparation {
             causes: ["a".into(), "b".into()],
             difference_um: 7.0,
             noise_um: 0.35,

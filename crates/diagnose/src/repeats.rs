@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// More places than a table of the machine file should have points are no targets.
-const MOST_PLACES: usize = 512;
+const MAX_PLACES: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
 const SAME_MM: f64 = 1e-3;
 
@@ -68,7 +68,7 @@ impl Targets {
         });
         let step = steps.fold(f64::INFINITY, f64::min);
         let (at_mm, place_of) = places(&at, if step.is_finite() { step } else { 0.0 });
-        if at_mm.len() > MOST_PLACES || 2 * rows.len() < 3 * at_mm.len() {
+        if at_mm.len() > MAX_PLACES || 2 * rows.len() < 3 * at_mm.len() {
             return None;
         }
         let cycle_of = match data.run.as_deref() {
@@ -165,7 +165,7 @@ impl Targets {
         let places = [0, 1].map(|side| self.places_of(side));
         (3..self.at_mm.len()).rev().map(with).find(|&(start_mm, step_mm, points)| {
             let is_known = |at: &Vec<f64>| {
-                at.is_empty() || largest_variance(at, start_mm, step_mm, points) <= MOST_VARIANCE
+                at.is_empty() || largest_variance(at, start_mm, step_mm, points) <= MAX_VARIANCE
             };
             places.iter().all(is_known)
         })
@@ -183,7 +183,7 @@ impl Targets {
 }
 
 /// The variance of a table's point, in those of one reading at a place: twice its uncertainty.
-const MOST_VARIANCE: f64 = 4.0;
+const MAX_VARIANCE: f64 = 4.0;
 
 /// Numbers from 0 in the order in which keys come.
 fn numbered<K: PartialEq>(keys: impl Iterator<Item = K>) -> Vec<usize> {

@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 use trueup_numerics::{fourier, parallel::on_all_cores, random::Generator};
 
 /// Beyond this many the positions are as dense as those of a continuous record, and lie on no grid.
-const MOST_FREQUENCIES: usize = 40_000;
+const MAX_FREQUENCIES: usize = 40_000;
 
 /// Returns the frequency of the highest peak of `values` over `at`, with at least `least_turns` over the
 /// whole length, and ln of the number of independent frequencies that were looked at.
@@ -35,7 +35,7 @@ pub(crate) fn peaks(at: &[f64], values: &[f64], most: usize) -> Vec<f64> {
     let Some(Grid { low, range, spacing }) = Grid::of(at) else { return Vec::new() };
     let step = 0.25 / range;
     let count = (2.0 / spacing / step) as usize;
-    if count > MOST_FREQUENCIES {
+    if count > MAX_FREQUENCIES {
         return Vec::new();
     }
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;

@@ -6,11 +6,11 @@ use std::path::Path;
 use serde_json::Value;
 use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
-use trueup_twin::hidden::{Challenge, Hidden, draw};
+use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 const CAUSE: &str = "feed-dependent-backlash";
 
-fn answer(challenge: &Challenge) -> Diagnosis {
+fn answer(challenge: &TestCase) -> Diagnosis {
     let machine = MachineFile::parse(&challenge.machine, Path::new("m.toml")).expect("the twin's");
     let read = |text: &String| {
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the twin's")
@@ -99,7 +99,7 @@ fn renamed(csv: &str, column: &str, name: &str) -> String {
 }
 
 /// Writes a feed into each row: 200 and 2000 mm/min, cycle by cycle.
-fn fast_and_slow_by_turns(challenge: &mut Challenge) {
+fn fast_and_slow_by_turns(challenge: &mut TestCase) {
     for csv in challenge.runs.iter_mut().chain([&mut challenge.holdout]) {
         let mut lines = csv.lines();
         let header = lines.next().expect("a header");

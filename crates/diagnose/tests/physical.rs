@@ -46,7 +46,7 @@ fn every_fault_that_is_drawn_is_three_times_the_noise() {
         let case = Case::draw(seed);
         assert_eq!(case.faults.len() as u64, 1 + seed % 5);
         for drawn in &case.faults {
-            let is_so = (machines::LEAST_RATIO..11.0).contains(&drawn.ratio);
+            let is_so = (machines::MIN_RATIO..11.0).contains(&drawn.ratio);
             assert!(is_so, "{seed}: {} {} {}", drawn.fault.name(), drawn.size, drawn.ratio);
         }
     }

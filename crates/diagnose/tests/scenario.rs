@@ -8,10 +8,10 @@ mod shipped;
 
 use shipped::Shipped;
 
-use key::Told;
+use key::KeyComparison;
 
 /// Returns what is said of the record of `seed`.
-fn told(shipped: &Shipped, seed: u64) -> Told {
+fn told(shipped: &Shipped, seed: u64) -> KeyComparison {
     (shipped.key)().of(&shipped.diagnosed(seed).report)
 }
 

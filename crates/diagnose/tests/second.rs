@@ -9,10 +9,10 @@ use std::path::Path;
 
 use score::{Row, answer, score as scored};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_twin::hidden::{Challenge, Hidden, draw};
+use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 /// Returns what the host's model makes of the machine file, for each row of the training runs.
-fn predicted(challenge: &Challenge) -> Result<Vec<f64>, String> {
+fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {
     let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
         .map_err(|bad| bad.to_string())?;
     let names = ["elongation", "dx", "dy", "dz"];
@@ -52,7 +52,7 @@ fn a_file_with_the_drawn_term_predicts_the_drawn_effect() {
 }
 
 /// The only answer to `challenge` is `cause`.
-fn is_alone(challenge: &Challenge, cause: Hidden) -> Result<(), String> {
+fn is_alone(challenge: &TestCase, cause: Hidden) -> Result<(), String> {
     let score = scored(challenge, &answer(challenge));
     let is_only = score.named == [cause.name()] && score.unclaimed.is_empty();
     let row = Row { scores: vec![score] };
@@ -84,7 +84,7 @@ fn measured_anew(
 
 /// Returns a machine whose file has `centrifugal-growth` 0.02, and whose data have that and a sensor gain of
 /// 1.2.
-fn gain_beside_growth(seed: u64) -> Challenge {
+fn gain_beside_growth(seed: u64) -> TestCase {
     let mut challenge = draw(Hidden::SensorGain, 3.0, seed);
     let truth = challenge.truth.clone();
     let whole = |believed_um: f64, rpm: f64| 1.2 * believed_um + 0.02 * (rpm / 1000.0).powi(2);
@@ -164,7 +164,7 @@ fn a_slope_that_was_corrected_once_is_named_again_when_it_changes() {
 #[test]
 #[ignore = "long: one draw of each pair and of each cause that has changed"]
 fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
-    let scored_all = |challenges: Vec<(String, Challenge)>| {
+    let scored_all = |challenges: Vec<(String, TestCase)>| {
         let mut wrong = Vec::new();
         let count = challenges.len();
         for (name, challenge) in challenges {
@@ -176,7 +176,7 @@ fn beside_nearly_every_cause_of_the_file_the_new_one_is_named_alone() {
         println!("{} of {count} right\n{}", count - wrong.len(), wrong.join("\n"));
         (count - wrong.len()) as f64 / count as f64
     };
-    let is_read = |challenge: &Challenge| {
+    let is_read = |challenge: &TestCase| {
         MachineFile::parse(&challenge.machine, Path::new("machine.toml")).is_ok()
     };
     let beside = known::pairs().into_iter().filter_map(|(a, b)| {

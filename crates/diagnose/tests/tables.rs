@@ -8,7 +8,7 @@ use std::{borrow::Cow, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose};
 use trueup_fit::pitch;
-use trueup_machine::{MachineFile, RunFile, applied::Unaided, file::LinearAxis};
+use trueup_machine::{MachineFile, RunFile, applied::Uncompensated, file::LinearAxis};
 use trueup_measured_data::file as data;
 use trueup_numerics::random::Generator;
 
@@ -121,7 +121,7 @@ fn one_pass_is_taken_over_and_not_believed() {
 /// Returns whether `trueup fit pitch` writes a table, and whether `diagnose` hands out something that goes with
 /// the axis's own position.
 fn answers(run: &RunFile, axis: LinearAxis) -> [bool; 2] {
-    let (unaided, _) = Unaided::of(Cow::Borrowed(run), None, None).expect("no bridge");
+    let (unaided, _) = Uncompensated::of(Cow::Borrowed(run), None, None).expect("no bridge");
     let fit = pitch::fit(&unaided, axis, &pitch::Options::default()).expect("a table of readings");
     let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("the test's own file");
     let runs = std::slice::from_ref(run);

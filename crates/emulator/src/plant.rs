@@ -55,7 +55,7 @@ pub struct Plant {
 }
 
 /// A step has a few numbers; a longer line has no end.
-const MOST_BYTES: u64 = 1 << 16;
+const MAX_BYTES: u64 = 1 << 16;
 /// How often a plant that thinks is looked after.
 const PATIENCE: Duration = Duration::from_millis(200);
 
@@ -98,10 +98,10 @@ impl Plant {
     ) -> Result<Option<(Situation, u32)>> {
         self.bytes.clear();
         loop {
-            let room = MOST_BYTES.saturating_sub(self.bytes.len() as u64);
+            let room = MAX_BYTES.saturating_sub(self.bytes.len() as u64);
             match (&mut self.lines).take(room).read_until(b'\n', &mut self.bytes) {
-                Ok(_) if self.bytes.len() as u64 >= MOST_BYTES => bail!(
-                    "{}, line {}: is longer than {MOST_BYTES} bytes",
+                Ok(_) if self.bytes.len() as u64 >= MAX_BYTES => bail!(
+                    "{}, line {}: is longer than {MAX_BYTES} bytes",
                     self.peer,
                     self.number.saturating_add(1)
                 ),

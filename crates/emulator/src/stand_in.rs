@@ -57,11 +57,15 @@ pub struct StandIn {
 
 impl StandIn {
     /// Returns the frames of the next millisecond.
-    pub fn frames(&mut self, now: &Situation, heard: &ReceivedFrames) -> [Option<Frame>; FRAMES] {
+    pub fn frames(
+        &mut self,
+        now: &Situation,
+        received: &ReceivedFrames,
+    ) -> [Option<Frame>; FRAMES] {
         let ms = self.ms;
         self.ms = self.ms.wrapping_add(1);
         let mut sent = [None; FRAMES];
-        if ms % CONDITIONS_PERIOD_MS == BETWEEN_MS && !heard.has(CONDITIONS) {
+        if ms % CONDITIONS_PERIOD_MS == BETWEEN_MS && !received.has(CONDITIONS) {
             let said = now.conditions;
             sent[0] = said.map(|said| frames::conditions(said, self.conditions_counter));
             self.conditions_counter = self.conditions_counter.wrapping_add(said.is_some().into());
@@ -78,7 +82,7 @@ impl StandIn {
         }
         sent[3] = now.rotary.map(|there| frames::rotary(there, self.counters[3]));
         for (place, counter) in self.counters.iter_mut().enumerate() {
-            if place != CONTROL && heard.has(place) {
+            if place != CONTROL && received.has(place) {
                 sent[place] = None;
             } else if sent[place].is_some() {
                 *counter = counter.wrapping_add(1);
@@ -106,12 +110,12 @@ mod tests {
             rotary: Some(Rotary::default()),
             ..Situation::default()
         };
-        let (mut stand_in, heard, mut receiver) =
+        let (mut stand_in, received, mut receiver) =
             (StandIn::default(), ReceivedFrames::default(), Receiver::new());
         let mut ids = |ms| {
             let mut ids = Vec::new();
             for _ in 0..ms {
-                for frame in stand_in.frames(&now, &heard).into_iter().flatten() {
+                for frame in stand_in.frames(&now, &received).into_iter().flatten() {
                     receiver.accept(&frame).expect("in order");
                     ids.push(frame.id());
                 }
@@ -121,10 +125,10 @@ mod tests {
         assert_eq!(ids(2), [POSITION_X_ID, POSITION_Z_ID, ROTARY_ID]);
         assert_eq!(ids(600).len(), 900);
         for line in [&b"t30280000000000000000"[..], b"V", b"t20", b"txyz", b"O"] {
-            heard.note(line);
+            received.note(line);
         }
         assert_eq!(ids(2).len(), 3, "none of these is a position");
-        heard.note(b"t20180000000000000000");
+        received.note(b"t20180000000000000000");
         assert_eq!(ids(2), [POSITION_Z_ID, ROTARY_ID]);
     }
 
@@ -132,34 +136,34 @@ mod tests {
     fn conditions_are_sent_every_50_ms_until_the_cnc_says_them() {
         let said = Conditions { tool: 7, bits: 5 };
         let now = Situation { conditions: Some(said), ..Situation::default() };
-        let (mut stand_in, heard, mut receiver) =
+        let (mut stand_in, received, mut receiver) =
             (StandIn::default(), ReceivedFrames::default(), Receiver::new());
-        let mut count = |heard: &ReceivedFrames| {
-            let frames = (0..1_000).flat_map(|_| stand_in.frames(&now, heard)).flatten();
-            let heard = frames.map(|frame| receiver.accept(&frame).expect("in order"));
-            heard.filter(|it| *it == Some(Command::Conditions(said))).count()
+        let mut count = |received: &ReceivedFrames| {
+            let frames = (0..1_000).flat_map(|_| stand_in.frames(&now, received)).flatten();
+            let received = frames.map(|frame| receiver.accept(&frame).expect("in order"));
+            received.filter(|it| *it == Some(Command::Conditions(said))).count()
         };
-        assert_eq!(count(&heard), 20);
-        heard.note(b"t40280000000000000000");
-        assert_eq!(count(&heard), 0);
+        assert_eq!(count(&received), 20);
+        received.note(b"t40280000000000000000");
+        assert_eq!(count(&received), 0);
     }
 
     #[test]
     fn control_is_sent_every_20_ms_whatever_a_client_sends() {
         let now = Situation { control: Some(Control::ENGAGED), ..Situation::default() };
-        let (mut stand_in, heard, mut receiver) =
+        let (mut stand_in, received, mut receiver) =
             (StandIn::default(), ReceivedFrames::default(), Receiver::new());
         let mut at_ms = Vec::new();
         for ms in 0..100 {
-            heard.note(b"t30280000000000000000");
-            for frame in stand_in.frames(&now, &heard).into_iter().flatten() {
+            received.note(b"t30280000000000000000");
+            for frame in stand_in.frames(&now, &received).into_iter().flatten() {
                 let told = receiver.accept(&frame).expect("in order");
                 assert_eq!(told, Some(Command::Control(Control::ENGAGED)), "{frame:?}");
                 at_ms.push(ms);
             }
         }
         assert_eq!(at_ms, [0, 20, 40, 60, 80]);
-        let silent = stand_in.frames(&Situation::default(), &heard);
+        let silent = stand_in.frames(&Situation::default(), &received);
         assert_eq!(silent, [None; FRAMES], "another one is the CNC");
     }
 }

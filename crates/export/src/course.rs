@@ -19,7 +19,7 @@ use crate::{Format, Options, report::Approach};
 /// A period of a periodic error is looked at in this many parts.
 const PARTS_OF_PERIOD: f64 = 32.0;
 /// And a travel in at most this many.
-const MOST_PARTS: f64 = 20_000.0;
+const MAX_PARTS: f64 = 20_000.0;
 
 /// The errors that one drive corrects along its axis.
 #[derive(Clone)]
@@ -135,7 +135,7 @@ impl Drive<'_> {
                     _ => None,
                 });
                 let Some(parts) = of_waves.reduce(f64::max) else { continue };
-                let parts = parts.ceil().clamp(1.0, MOST_PARTS);
+                let parts = parts.ceil().clamp(1.0, MAX_PARTS);
                 let at = |part: u32| first + (last - first) * f64::from(part) / parts;
                 points.extend((0..=parts as u32).map(at));
             }

@@ -64,9 +64,9 @@ pub enum Series {
 }
 
 /// This many point numbers has an axis.
-pub const MOST_POINTS: usize = 128;
+pub const MAX_POINTS: usize = 128;
 /// A value is at most this, times the magnification.
-pub const MOST_STEP: i64 = 7;
+pub const MAX_STEP: i64 = 7;
 /// The magnifications there are.
 const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
 /// Spacings are whole multiples of this, in mm (increment system IS-B).
@@ -192,7 +192,7 @@ fn plan<'m>(
     let range_mm = (first_mm.min(reference_mm), last_mm.max(reference_mm));
     let is_two_way = drive.as_ref().is_some_and(Drive::is_two_way);
     let fits = |points: &Points| {
-        points.sections() * if is_two_way { 2 } else { 1 } < MOST_POINTS
+        points.sections() * if is_two_way { 2 } else { 1 } < MAX_POINTS
             && (crosses.is_empty() || points.sections() >= 3)
     };
     let rounded = |mm: f64| ((mm / SPACING_MM).round() * SPACING_MM).max(SPACING_MM);
@@ -202,7 +202,7 @@ fn plan<'m>(
         .unwrap_or((range_mm.1 - range_mm.0) / SECTIONS as f64);
     let at = |spacing_mm: f64| Points::over(range_mm, reference_mm, rounded(spacing_mm));
     let finer: Vec<Points> =
-        (1..MOST_POINTS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
+        (1..MAX_POINTS).map(|parts| at(wanted_mm / parts as f64)).filter(fits).collect();
     let coarser = || (2..=4096).map(|times| at(wanted_mm * f64::from(times))).find(fits);
     let was_thinned = finer.is_empty();
     let candidates = if was_thinned { coarser().into_iter().collect() } else { finer };
@@ -229,8 +229,8 @@ fn plan<'m>(
         }
     }
     Err(format!(
-        "it rises by more than {MOST_STEP} times 8 units of {} µm a section, and finer sections \
-         would take more than {MOST_POINTS} points",
+        "it rises by more than {MAX_STEP} times 8 units of {} µm a section, and finer sections \
+         would take more than {MAX_POINTS} points",
         number(options.unit_um, 4)
     ))
 }
@@ -263,7 +263,7 @@ impl Planned<'_> {
             tables.push(sums.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<i64>>());
         }
         self.tables = tables;
-        self.tables.iter().flatten().all(|value| value.abs() <= MOST_STEP)
+        self.tables.iter().flatten().all(|value| value.abs() <= MAX_STEP)
     }
 }
 
@@ -279,7 +279,7 @@ fn write(planned: &[Planned<'_>], options: &Options, export: &mut Export) {
     };
     for (order, plan) in planned.iter().enumerate() {
         let axis = number_of(plan);
-        let base = (order * MOST_POINTS) as i64;
+        let base = (order * MAX_POINTS) as i64;
         let (negative, sections) = (plan.points.negative as i64, plan.points.sections() as i64);
         let reference = base + negative;
         let first = reference - negative + 1;

@@ -30,7 +30,7 @@ use crate::{
 };
 
 /// The most entries of a table.
-pub const MOST_ENTRIES: usize = 256;
+pub const MAX_ENTRIES: usize = 256;
 /// Values to 0.1 µm.
 const VALUE_DECIMALS: usize = 4;
 /// Positions to 0.1 µm.
@@ -84,8 +84,8 @@ pub fn read(text: &str) -> Result<Compensation, String> {
         }
         entries += 1;
     }
-    if entries as usize > MOST_ENTRIES {
-        return Err(format!("more than {MOST_ENTRIES} entries"));
+    if entries as usize > MAX_ENTRIES {
+        return Err(format!("more than {MAX_ENTRIES} entries"));
     }
     Ok(Compensation { columns, curves })
 }
@@ -182,7 +182,7 @@ fn export_moving(machine: &Machine, options: &Options, of: &Moving<'_>, export: 
         columns.push((name, column(&|mm| cross.error_um(mm))));
     }
     let (names, values): (Vec<String>, Vec<Vec<f64>>) = columns.into_iter().unzip();
-    let most = options.most_points.unwrap_or(MOST_ENTRIES).clamp(2, MOST_ENTRIES);
+    let most = options.most_points.unwrap_or(MAX_ENTRIES).clamp(2, MAX_ENTRIES);
     let is_curved = own.is_some_and(Drive::is_curved) || of.crosses.iter().any(Cross::is_curved);
     let keeps_all = !is_curved && positions_mm.len() <= most;
     let (rows, off_um) = if keeps_all {

@@ -36,7 +36,7 @@ use crate::{
 const CSV: &str = "volcomp.csv";
 const LIST: &str = "volcomp.lis";
 /// The most rows of an axis; how many the control reads is a setting of its own (`max_records`).
-const MOST_ROWS: usize = 2_000;
+const MAX_ROWS: usize = 2_000;
 /// The lines between the rows are kept this near, in µm, angles at a lever of 1 m.
 const TOLERANCE_UM: f64 = 0.02;
 /// A travel is looked at in this many equal parts before its best points are chosen.
@@ -269,7 +269,7 @@ fn add_block(
     let values: Vec<[f64; 6]> = places.iter().map(|mm| component.at(*mm)).collect();
     let columns: Vec<Vec<f64>> =
         (0..6).map(|n| values.iter().map(|row| row[n]).collect()).collect();
-    let (rows, off_um) = best_rows(&places, &columns, TOLERANCE_UM, MOST_ROWS);
+    let (rows, off_um) = best_rows(&places, &columns, TOLERANCE_UM, MAX_ROWS);
     let axis = component.axis.name().to_uppercase();
     let names: Vec<String> =
         ["X", "Y", "Z", "A", "B", "C"].iter().map(|along| format!("E{along}{axis}")).collect();
@@ -303,7 +303,7 @@ fn add_block(
         spacing: None,
         constant_um: 0.0,
         largest,
-        loss: (rows.len() == MOST_ROWS).then(|| format!("{MOST_ROWS} rows leave {off_um:.3} µm")),
+        loss: (rows.len() == MAX_ROWS).then(|| format!("{MAX_ROWS} rows leave {off_um:.3} µm")),
     });
 }
 

@@ -39,7 +39,7 @@ use std::{borrow::Cow, collections::BTreeMap, error::Error, fmt};
 
 use trueup_machine::{Machine, model::corrected};
 
-pub use report::{Approach, Difference, ExportedTable, LeftOut, Report};
+pub use report::{Approach, Difference, ExportedTable, Omitted, Report};
 
 /// The control that is exported to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,7 +168,7 @@ pub struct Refused {
     /// The control that cannot hold it.
     pub format: Format,
     /// The sections of the model, each with the reason; empty where the model has none.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<Omitted>,
 }
 
 impl fmt::Display for Refused {
@@ -180,7 +180,7 @@ impl fmt::Display for Refused {
         write!(f, "nothing of the model can be held by {name}")?;
         self.left_out
             .iter()
-            .try_for_each(|LeftOut { section, reason }| write!(f, "; {section}: {reason}"))
+            .try_for_each(|Omitted { section, reason }| write!(f, "; {section}: {reason}"))
     }
 }
 

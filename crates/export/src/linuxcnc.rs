@@ -27,7 +27,7 @@ use crate::{
 };
 
 /// The most lines that the motion controller stores for a joint.
-pub const MOST_LINES: usize = 256;
+pub const MAX_LINES: usize = 256;
 /// Trims and positions are written to this many decimals: 0.01 nm in a metric machine.
 const DECIMALS: usize = 8;
 
@@ -44,7 +44,7 @@ pub struct Compensation {
 ///
 /// # Errors
 /// A line that is not three numbers, a nominal position that does not rise, or more than
-/// [`MOST_LINES`]: the loader would stop there, and the machine would cut with half a table.
+/// [`MAX_LINES`]: the loader would stop there, and the machine would cut with half a table.
 pub fn read(text: &str) -> Result<Compensation, String> {
     let mut read = Compensation { forward: Vec::new(), reverse: Vec::new() };
     for (index, line) in text.lines().enumerate() {
@@ -57,8 +57,8 @@ pub fn read(text: &str) -> Result<Compensation, String> {
         if read.forward.last().is_some_and(|&(before, _)| nominal <= before) {
             return Err(format!("line {line_number}: {nominal} does not rise"));
         }
-        if index == MOST_LINES {
-            return Err(format!("more than {MOST_LINES} lines"));
+        if index == MAX_LINES {
+            return Err(format!("more than {MAX_LINES} lines"));
         }
         read.forward.push((nominal, forward));
         read.reverse.push((nominal, reverse));
@@ -106,7 +106,7 @@ fn export_drive(drive: &Drive<'_>, options: &Options, export: &mut Export) {
     let columns = Approach::BOTH.map(|approach| {
         positions_mm.iter().map(|&mm| drive.error_um(mm, approach)).collect::<Vec<f64>>()
     });
-    let most = options.most_points.unwrap_or(MOST_LINES).clamp(2, MOST_LINES);
+    let most = options.most_points.unwrap_or(MAX_LINES).clamp(2, MAX_LINES);
     let keeps_all = !drive.is_curved() && positions_mm.len() <= most;
     let (rows, off_um) = if keeps_all {
         ((0..positions_mm.len()).collect(), 0.0)

@@ -76,7 +76,7 @@ pub struct ExportedTable {
 
 /// A section of the model that the control cannot hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct LeftOut {
+pub struct Omitted {
     /// Its name in the machine file.
     pub section: String,
     /// Why the control cannot hold it, as a sentence.
@@ -95,7 +95,7 @@ pub struct Report {
     /// One entry a table.
     pub tables: Vec<ExportedTable>,
     /// Sections that the control cannot hold.
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<Omitted>,
     /// Settings to be made by hand, and assumptions.
     pub notes: Vec<String>,
 }
@@ -113,7 +113,7 @@ impl Report {
     }
 
     pub(crate) fn leave_out(&mut self, section: impl Into<String>, reason: impl Into<String>) {
-        self.left_out.push(LeftOut { section: section.into(), reason: reason.into() });
+        self.left_out.push(Omitted { section: section.into(), reason: reason.into() });
     }
 
     pub(crate) fn note(&mut self, note: impl Into<String>) {
@@ -159,7 +159,7 @@ impl Display for Report {
         }
         if !self.left_out.is_empty() {
             writeln!(f, "\nnot exported:")?;
-            for LeftOut { section, reason } in &self.left_out {
+            for Omitted { section, reason } in &self.left_out {
                 writeln!(f, "  {section}: {reason}")?;
             }
         }

@@ -41,9 +41,9 @@ use crate::{
 };
 
 /// The most points of an encoder table.
-pub const MOST_EEC_POINTS: usize = 5000;
+pub const MAX_EEC_POINTS: usize = 5000;
 /// The most points of a cross-axis table.
-pub const MOST_CEC_POINTS: usize = 2000;
+pub const MAX_CEC_POINTS: usize = 2000;
 /// Steps are whole multiples of this, in mm.
 const STEP_MM: f64 = 1e-4;
 
@@ -154,7 +154,7 @@ fn write_drive<'m>(
     let axis = machine_axis(machine, drive.axis, drive.is_second);
     let reference_mm = options.reference_mm[drive.axis.index()];
     let constant_um = drive.error_um(reference_mm, Approach::Positive);
-    let most = if drive.is_two_way() { MOST_CEC_POINTS } else { MOST_EEC_POINTS };
+    let most = if drive.is_two_way() { MAX_CEC_POINTS } else { MAX_EEC_POINTS };
     let most = options.most_points.unwrap_or(most).clamp(2, most);
     let points_mm = drive.points_mm();
     let (grid, was_thinned) = match (drive.only_table(), &points_mm[..]) {
@@ -211,7 +211,7 @@ fn write_cross<'m>(
     let range_mm = cross.range_mm(machine, options)?;
     let constant_um = cross.error_um(options.reference_mm[cross.along.index()]);
     let error_um = |mm| cross.error_um(mm) - constant_um;
-    let most = options.most_points.unwrap_or(MOST_CEC_POINTS).clamp(2, MOST_CEC_POINTS);
+    let most = options.most_points.unwrap_or(MAX_CEC_POINTS).clamp(2, MAX_CEC_POINTS);
     // Half of the tolerance is left for the rounding.
     let grid = Grid::over(range_mm, STEP_MM, options.tolerance_um / 2.0, most, error_um);
     let [input, output] = [cross.along, cross.error].map(|axis| machine_axis(machine, axis, false));

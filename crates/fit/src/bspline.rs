@@ -20,10 +20,10 @@
 use trueup_machine::file::BSpline;
 
 /// The largest order: the board runs cubics.
-pub const MOST_ORDER: usize = 4;
+pub const MAX_ORDER: usize = 4;
 
 /// The values of `order` basis functions.
-pub type Weights = [f64; MOST_ORDER];
+pub type Weights = [f64; MAX_ORDER];
 
 /// Below this [sine](Banded::least_sine) the coefficients are noise of the arithmetic.
 const SINGULAR: f64 = 1e-10;
@@ -57,13 +57,13 @@ fn span(knots: &[f64], order: usize, x: f64) -> usize {
 /// `order` is not 1…4, or there are fewer than 2·`order` knots.
 #[must_use]
 pub fn basis(knots: &[f64], order: usize, x: f64) -> (usize, Weights) {
-    assert!((1..=MOST_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
+    assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
     basis_in(knots, order, span(knots, order, x), x)
 }
 
 /// [`basis`] in a span that is known.
 fn basis_in(knots: &[f64], order: usize, span: usize, x: f64) -> (usize, Weights) {
-    let mut weights = [0.0; MOST_ORDER];
+    let mut weights = [0.0; MAX_ORDER];
     weights[0] = 1.0;
     for level in 1..order {
         let mut carried = 0.0;
@@ -87,7 +87,7 @@ pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
     let BSpline { order, knots_mm: knots, control_um } = spline;
     let order = *order;
     let span = span(knots, order, x);
-    let mut points = [0.0; MOST_ORDER];
+    let mut points = [0.0; MAX_ORDER];
     points[..order].copy_from_slice(&control_um[span + 1 - order..=span]);
     let mut result = [0.0; 3];
     for (derivative, slot) in result.iter_mut().enumerate() {
@@ -156,7 +156,7 @@ impl Banded {
     /// For `count` coefficients and `sides` right-hand sides.
     #[must_use]
     pub fn new(order: usize, count: usize, sides: usize) -> Self {
-        Self { order, sides, r: vec![[0.0; MOST_ORDER]; count], right: vec![0.0; count * sides] }
+        Self { order, sides, r: vec![[0.0; MAX_ORDER]; count], right: vec![0.0; count * sides] }
     }
 
     /// Takes in the observation whose coefficients from `first` on weigh `weights`, with its
@@ -257,7 +257,7 @@ pub fn least_squares(
     order: usize,
     points: impl Iterator<Item = (f64, f64, f64)>,
 ) -> Option<InKnots> {
-    assert!((1..=MOST_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
+    assert!((1..=MAX_ORDER).contains(&order) && knots.len() >= 2 * order, "no spline");
     let mut triangle = Banded::new(order, knots.len() - order, 1);
     let mut sum_of_squares = 0.0;
     let mut at = order - 1;

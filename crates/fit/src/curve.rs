@@ -5,7 +5,7 @@
 
 use trueup_machine::{
     BadInput,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::{Edit, NewSection, rounded},
 };
 use trueup_numerics::repeats;
@@ -25,7 +25,7 @@ const DECIMALS: i32 = 4;
 /// # Errors
 /// See [`straightness::fit_run`].
 pub fn fit(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     quantity: Option<&str>,
     known_um: impl FnOnce(&StraightnessCurve) -> Result<Option<Vec<f64>>, BadInput>,
     options: &Options,
@@ -163,7 +163,7 @@ mod tests {
             text += &format!("{x},{}\n", (x / 60.0).sin() * 8.0);
         }
         let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-        let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+        let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
         let report = fit(&run, None, |_| Ok(None), &Options::default()).expect("a curve");
         let names: Vec<&str> =
             report.table.lines().filter_map(|line| line.split_once(": ")).map(|it| it.0).collect();

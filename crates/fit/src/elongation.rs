@@ -13,7 +13,7 @@
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::{Edit, NewSection, Value},
     file::{ElongationSource, SensorModel, is_temperature_column},
     model::elongation_um,
@@ -44,7 +44,7 @@ pub struct Options {
 /// # Errors
 /// A column is missing, too few rows have both values, or the input is the same in every row.
 pub fn fit(
-    runs: &[Unaided<'_>],
+    runs: &[Uncompensated<'_>],
     machine: Option<&Machine>,
     options: &Options,
 ) -> Result<Report, BadInput> {
@@ -90,7 +90,7 @@ fn by_sensor(rows: &Rows<'_>, machine: Option<&Machine>) -> Result<Report, BadIn
     let residuals = rows::residuals(&columns, &y, &line);
     let wider = rows::widening(&residuals);
     let (groups, by) = rows.groups(&is_used);
-    let left_out = rows::left_out(&columns, &y, groups.as_deref());
+    let left_out = rows::held_out(&columns, &y, groups.as_deref());
     let model = SensorModel {
         k0_um: line.coefficients[0],
         zero_counts,
@@ -305,7 +305,7 @@ pub(crate) fn judge(report: &mut Report, y: &[f64], groups: Option<&[usize]>) {
         .collect();
     if let (Some(before), Some(left_out)) = (report.before, report.left_out) {
         let ones = vec![vec![1.0; y.len()]];
-        let constant = rows::left_out(&ones, y, groups).and_then(|left| Spread::of(&left));
+        let constant = rows::held_out(&ones, y, groups).and_then(|left| Spread::of(&left));
         let constant = constant.map_or(before.rms_um, |constant| constant.rms_um);
         if left_out.rms_um >= before.rms_um.min(constant) {
             reasons.push(format!(

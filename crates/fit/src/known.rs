@@ -5,7 +5,7 @@
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{ElongationSource, LinearAxis, is_temperature_column},
     model::required_columns,
     predict::Predictor,
@@ -51,7 +51,7 @@ impl Known {
 /// The run has a column with the name of a prediction.
 pub fn known(
     machine: &Machine,
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     without: Without,
 ) -> Result<Option<Known>, BadInput> {
     let mut rest = machine.clone();

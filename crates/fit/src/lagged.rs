@@ -120,7 +120,7 @@ impl<'a> Lagged<'a> {
         let columns = self.columns(0.0);
         let linear = rows::solve(&columns, y, |_| true)?;
         let residuals = rows::residuals(&columns, y, &linear);
-        let left_out = rows::left_out(&columns, y, groups);
+        let left_out = rows::held_out(&columns, y, groups);
         let plain = Fitted {
             lag_s: 0.0,
             lag_half_width: None,

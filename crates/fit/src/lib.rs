@@ -1,6 +1,6 @@
 //! From measured runs to the sections of a machine file.
 //!
-//! Each fit takes [runs without what a bridge applied](trueup_machine::applied::Unaided) and gives a [`Report`]: the constants with their
+//! Each fit takes [runs without what a bridge applied](trueup_machine::applied::Uncompensated) and gives a [`Report`]: the constants with their
 //! intervals, the residuals on the rows that were fitted and on rows that were left out, the rows
 //! that were set aside and why, and the [`Edit`](trueup_machine::file::write::Edit) that takes the constants into a machine file. A
 //! run that no correction makes better is answered with [`Verdict::DoNotCompensate`] and the

@@ -46,7 +46,7 @@ mod test_points;
 
 use trueup_machine::{
     BadInput,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{Backlash, Feedback, LinearAxis, Pitch},
 };
 
@@ -73,7 +73,7 @@ use crate::{
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
     /// One table or two.
-    pub ways: Ways,
+    pub ways: TableMode,
     /// Only the runs with these numbers; `None`: all.
     pub runs: Option<Vec<f64>>,
     /// The step of the table in mm, above 0; `None`: that of the targets if it is equal, else the
@@ -96,7 +96,7 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Self {
-            ways: Ways::Automatic,
+            ways: TableMode::Automatic,
             runs: None,
             step_mm: None,
             most_points: 512,
@@ -110,7 +110,7 @@ impl Default for Options {
 
 /// How many tables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Ways {
+pub enum TableMode {
     /// One for each direction only if that gains on runs left out.
     #[default]
     Automatic,
@@ -140,7 +140,11 @@ pub struct PitchFit {
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
 /// run and direction, positions do not go with their direction, there are fewer than two targets,
 /// or a direction is missing that is asked for; with the place and the rule.
-pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<PitchFit, BadInput> {
+pub fn fit(
+    run: &Uncompensated<'_>,
+    axis: LinearAxis,
+    options: &Options,
+) -> Result<PitchFit, BadInput> {
     let wanted = Wanted {
         axis,
         runs: options.runs.as_deref(),
@@ -194,7 +198,7 @@ pub fn fit(run: &Unaided<'_>, axis: LinearAxis, options: &Options) -> Result<Pit
 
 /// At least two targets, and the directions that are asked for.
 fn check_extent(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     axis: LinearAxis,
     readings: &Readings,
     options: &Options,
@@ -203,7 +207,7 @@ fn check_extent(
         let rule = format!("{only} is the only position: a table needs at least 2 test points");
         return Err(run.bad(0, &format!("{}_mm", axis.name()), rule));
     }
-    if options.ways == Ways::Both {
+    if options.ways == TableMode::Both {
         let directions = [(1, "positive"), (-1, "negative")];
         for (has, (value, name)) in readings.has_way().into_iter().zip(directions) {
             if !has {
@@ -235,11 +239,15 @@ fn laws(readings: &Readings, options: &Options) -> Vec<Law> {
     let mut laws = vec![Law::Nothing, Law::Constant];
     let both = readings.has_way() == [true; 2];
     let screw = options.feedback == Feedback::Screw;
-    laws.push(if both && options.ways == Ways::Both { Law::BothTables } else { Law::OneTable });
-    if both && screw && options.ways != Ways::Both {
+    laws.push(if both && options.ways == TableMode::Both {
+        Law::BothTables
+    } else {
+        Law::OneTable
+    });
+    if both && screw && options.ways != TableMode::Both {
         laws.push(Law::TableAndBacklash);
     }
-    if both && options.ways == Ways::Automatic {
+    if both && options.ways == TableMode::Automatic {
         laws.push(Law::BothTables);
     }
     laws
@@ -252,7 +260,7 @@ fn is_one_pass(readings: &Readings, decision: &Decision) -> bool {
     readings.runs < 2
         && !readings.is_record
         && each_once
-        && readings.targets_mm.len() >= repeats::FEWEST_PLACES
+        && readings.targets_mm.len() >= repeats::MIN_PLACES
         && decision.taken == Err(repeats::Refusal::TooFew)
 }
 

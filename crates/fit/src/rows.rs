@@ -1,8 +1,8 @@
 //! The rows of several runs in a row, and which of them are left out together.
 
-use trueup_machine::{BadInput, Location, applied::Unaided};
+use trueup_machine::{BadInput, Location, applied::Uncompensated};
 use trueup_numerics::{
-    least_squares::{Solution, Triangle},
+    least_squares::{GivensQr, Solution},
     robust::Outlier,
 };
 
@@ -13,13 +13,13 @@ const BLOCKS: usize = 5;
 
 /// Runs, their rows counted through.
 pub(crate) struct Rows<'r> {
-    runs: &'r [Unaided<'r>],
+    runs: &'r [Uncompensated<'r>],
 }
 
 impl<'r> Rows<'r> {
     /// # Errors
     /// There is no run at all.
-    pub(crate) fn of(runs: &'r [Unaided<'r>]) -> Result<Self, BadInput> {
+    pub(crate) fn of(runs: &'r [Uncompensated<'r>]) -> Result<Self, BadInput> {
         if runs.is_empty() {
             let rule = "no run is given: a fit needs a run file";
             return Err(BadInput::new(Location::start_of("".as_ref()), rule));
@@ -72,7 +72,7 @@ impl<'r> Rows<'r> {
             .collect()
     }
 
-    fn locate(&self, mut row: usize) -> (&'r Unaided<'r>, usize) {
+    fn locate(&self, mut row: usize) -> (&'r Uncompensated<'r>, usize) {
         for run in self.runs {
             if row < run.rows() {
                 return (run, row);
@@ -192,7 +192,7 @@ pub(crate) fn solve(
     y: &[f64],
     keep: impl Fn(usize) -> bool,
 ) -> Option<Solution> {
-    let mut triangle = Triangle::new(columns.len());
+    let mut triangle = GivensQr::new(columns.len());
     let mut x = vec![0.0; columns.len()];
     for (row, &y) in y.iter().enumerate() {
         if !y.is_nan() && keep(row) {
@@ -222,7 +222,7 @@ pub(crate) fn residuals(columns: &[Vec<f64>], y: &[f64], solution: &Solution) ->
 
 /// y minus the linear fit to the other groups, by row; `None` where the other groups do not decide
 /// a fit.
-pub(crate) fn left_out(
+pub(crate) fn held_out(
     columns: &[Vec<f64>],
     y: &[f64],
     groups: Option<&[usize]>,

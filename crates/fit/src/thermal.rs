@@ -25,7 +25,7 @@ mod table;
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::{Edit, NewSection},
     file::{LinearAxis, Thermal, ThermalMode, ThermalRow},
     model::thermal_um,
@@ -81,7 +81,7 @@ struct Data {
 /// A column is missing, too few rows have all values, the temperature is the same in every row, or
 /// the positions do not decide the mode that is asked for.
 pub fn fit(
-    runs: &[Unaided<'_>],
+    runs: &[Uncompensated<'_>],
     axis: LinearAxis,
     machine: Option<&Machine>,
     options: &Options,
@@ -153,7 +153,7 @@ pub fn fit(
     let (left_out, by) = match &thermal.table {
         Some(table) if table.len() > 2 => {
             let knots: Vec<f64> = table.iter().map(|row| row.temperature_c).collect();
-            table::left_out(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
+            table::held_out(&data, mode, thermal.lag_s, &knots, (groups.as_deref(), by))
         }
         _ => (fitted.left_out.clone(), by),
     };

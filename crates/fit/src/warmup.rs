@@ -21,7 +21,7 @@ mod shape;
 
 use trueup_machine::{
     BadInput, Machine,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::{Edit, NewSection, Value},
     file::{ElongationSource, Warmup},
     model::WarmupState,
@@ -50,7 +50,7 @@ const SAME_SPEED: f64 = 0.02;
 ///
 /// # Errors
 /// A column is missing, too few rows have all values, or all times are equal.
-pub fn fit(runs: &[Unaided<'_>], machine: Option<&Machine>) -> Result<Report, BadInput> {
+pub fn fit(runs: &[Uncompensated<'_>], machine: Option<&Machine>) -> Result<Report, BadInput> {
     let rows = Rows::of(runs)?;
     let old = machine.and_then(|machine| machine.spindle.warmup.as_ref());
     let time_s = rows.require("time_s")?;

@@ -9,7 +9,7 @@ use trueup_compare::dated::Day;
 use trueup_numerics::t_quantile;
 
 use crate::{
-    odd::LEVEL,
+    anomalous::LEVEL,
     pool::{Estimate, Z95},
 };
 

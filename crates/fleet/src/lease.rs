@@ -116,7 +116,7 @@ impl Lease {
 
     /// Shows that the worker is alive. A lease that cannot be written ends, and another worker does the job too: the
     /// first result stays.
-    pub(crate) fn beat(&mut self) {
+    pub(crate) fn renew(&mut self) {
         self.beats += 1;
         let content = format!("{} {}", self.worker, self.beats);
         // Not `create`: what was cleared stays so.
@@ -146,7 +146,7 @@ mod tests {
         let start = Instant::now();
         let ended = |s| watch.has_ended(path(&store, "a", 1), start + Duration::from_secs(s));
         assert!(!ended(0) && !ended(9));
-        first.beat();
+        first.renew();
         assert!(!ended(15) && !ended(24) && ended(25));
         assert!(take(2).is_some());
         assert_eq!(newest(&store).expect("it is read").get("a"), Some(&2));

@@ -19,6 +19,7 @@
 //! | [`page`] | the same as one page with pictures |
 #![forbid(unsafe_code)]
 
+pub mod anomalous;
 mod causes;
 pub mod constants;
 pub mod drift;
@@ -26,7 +27,6 @@ pub mod job;
 mod lease;
 pub mod nats;
 mod next;
-pub mod odd;
 pub mod page;
 pub mod pool;
 pub mod record;

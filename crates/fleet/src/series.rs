@@ -10,11 +10,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use trueup_compare::dated::{Day, text_of};
 
 use crate::{
+    anomalous::{self, compare, holm},
     causes,
     constants::is_by_ratios,
     drift::{Drift, drift, present},
     next,
-    odd::{self, compare, holm},
     pool::{Estimate, Z95, pool},
     record::{Open, Pooled, Record},
     report::{Compared, Constant, Drifting, Interval, Machine, Member, Series},
@@ -195,7 +195,7 @@ fn of_constant<'r>(
             shrunk: interval(shrunk),
             weight,
             compared: compared.as_ref().map(|all| {
-                let odd::Compared { predicted, t, p, is_odd } = all[index];
+                let anomalous::Compared { predicted, t, p, is_odd } = all[index];
                 let predicted = if by_ratios { predicted.exp() } else { predicted };
                 Compared { predicted, t, p, p_series: p, odd: is_odd }
             }),

@@ -224,7 +224,7 @@ impl Team<'_> {
             let lease = &mut lease;
             scope.spawn(move || {
                 while end.recv_timeout(renewed) == Err(RecvTimeoutError::Timeout) {
-                    lease.beat();
+                    lease.renew();
                 }
             });
             let done = self.attempt(id);

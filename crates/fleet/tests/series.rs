@@ -2,7 +2,7 @@
 //! healthy one is left alone.
 
 use trueup_fleet::{
-    odd::compare,
+    anomalous::compare,
     pool::{Estimate, pool},
 };
 use trueup_numerics::random::Generator;

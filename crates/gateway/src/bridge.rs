@@ -103,13 +103,13 @@ pub fn keep(
         while !shared.has_ended() {
             let frames = {
                 let mut hub = shared.hub();
-                for heard in line.heard() {
+                for heard in line.received() {
                     match heard {
                         LineEvent::Up => shared.line_is(LineState { is_up: true, why: None }),
                         LineEvent::Down(why) => {
                             shared.line_is(LineState { is_up: false, why: Some(why) });
                         }
-                        LineEvent::Received(event) => hub.hear(shared.now(), &event),
+                        LineEvent::Received(event) => hub.receive(shared.now(), &event),
                         LineEvent::Late => hub.stalled(),
                     }
                 }

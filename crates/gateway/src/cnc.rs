@@ -36,7 +36,7 @@ impl Course {
 
 /// Transmitter of the frames to the bridge.
 #[derive(Debug, Default)]
-pub struct Speaker {
+pub struct CncTransmitter {
     control: Course,
     positions: [Course; 3],
     rotary: Course,
@@ -46,9 +46,9 @@ pub struct Speaker {
     due: Vec<Frame>,
 }
 
-impl Speaker {
+impl CncTransmitter {
     /// Takes what the PLC has just said; nothing is repeated by itself.
-    pub fn say(&mut self, now: Duration, said: &Cnc) {
+    pub fn transmit(&mut self, now: Duration, said: &Cnc) {
         let has_changed = self.last.replace(said.control) != Some(said.control);
         if let Some(counter) = self.control.due(now, CONTROL_PERIOD_MS, has_changed) {
             self.due.push(frames::control(said.control, counter));
@@ -103,12 +103,12 @@ mod tests {
             spindle: Some(Spindle { speed: Rpm(9), load_n: -3 }),
             conditions: None,
         };
-        let (mut speaker, mut receiver) = (Speaker::default(), Receiver::new());
+        let (mut speaker, mut receiver) = (CncTransmitter::default(), Receiver::new());
         let (mut controls, mut tools, mut positions, mut others) = (vec![], vec![], 0, 0);
         for ms in 0..100 {
             said.control.engage = ms >= 33;
             said.conditions = Some(Conditions { tool: if ms < 10 { 3 } else { 4 }, bits: 1 });
-            speaker.say(Duration::from_millis(ms), &said);
+            speaker.transmit(Duration::from_millis(ms), &said);
             for frame in speaker.take() {
                 match receiver.accept(&frame).expect("in order") {
                     Some(Command::Control(control)) => controls.push((ms, control.engage)),

@@ -62,7 +62,7 @@ pub fn line(shared: &Shared, plc: &PlcEnd) -> Value {
     if let Some(bridge) = bridge.as_object_mut() {
         bridge.insert("line".into(), word(bridge_line.is_up).into());
         bridge.insert("why".into(), bridge_line.why.into());
-        bridge.insert("heard".into(), hub.hears_bridge(now).into());
+        bridge.insert("heard".into(), hub.receives_bridge(now).into());
         bridge.insert("age_ms".into(), said.age_ms.into());
         bridge.insert("state".into(), state_words(StateBits(said.state)).into());
         let wrong = counters.crc_errors + counters.sequence_errors + counters.malformed;

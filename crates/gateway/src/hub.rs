@@ -33,7 +33,7 @@ use trueup_modbus::{
     table::WHOLE_HOLDING_LEN,
 };
 
-use crate::cnc::Speaker;
+use crate::cnc::CncTransmitter;
 
 /// Without a valid pair for so long the bridge counts as silent: as in `trueup linuxcnc`, a hundred
 /// cycles, and less than the 256 ms after which a counter of CAN comes round.
@@ -88,7 +88,7 @@ pub struct Hub {
     master: Option<(Master, Duration)>,
     checker: Checker,
     holding: cnc::Registers,
-    speaker: Speaker,
+    speaker: CncTransmitter,
     control: Option<(Duration, Control)>,
     /// The last whole block of the master, or its connection.
     arrived: Option<(Master, Duration)>,
@@ -101,7 +101,7 @@ pub struct Hub {
 
 /// Result of a holding block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Taken {
+pub enum BlockOutcome {
     /// It is used.
     Used,
     /// It is not, and why.
@@ -139,7 +139,7 @@ impl Hub {
             master: None,
             checker: Checker::default(),
             holding: [0; WHOLE_HOLDING_LEN],
-            speaker: Speaker::default(),
+            speaker: CncTransmitter::default(),
             control: None,
             arrived: None,
             pace: None,
@@ -149,11 +149,11 @@ impl Hub {
     }
 
     /// Takes an event of the bridge's line. Frames and lines that must not be used are counted.
-    pub fn hear(&mut self, now: Duration, event: &Event) {
+    pub fn receive(&mut self, now: Duration, event: &Event) {
         match event {
             Event::Frame(frame) if frame.id() == STATUS_ID => {
                 let refused = self.board.refused();
-                self.board.hear(frame);
+                self.board.receive(frame);
                 if self.board.refused() == refused {
                     self.status_heard = Some(now);
                     match decode(frame).map(|status| status.item) {
@@ -304,7 +304,7 @@ impl Hub {
 
     /// Returns whether the bridge is received.
     #[must_use]
-    pub fn hears_bridge(&self, now: Duration) -> bool {
+    pub fn receives_bridge(&self, now: Duration) -> bool {
         self.fresh(now).is_some()
     }
 
@@ -338,7 +338,7 @@ impl Hub {
         now: Duration,
         master: Master,
         block: &cnc::Registers,
-    ) -> Result<Taken, Busy> {
+    ) -> Result<BlockOutcome, Busy> {
         match self.master {
             Some((other, at)) if other != master => {
                 if now.saturating_sub(at) <= MASTER_LASTS {
@@ -355,17 +355,17 @@ impl Hub {
             Ok(_) if self.may_be_old(now, master) => {
                 self.master = Some((master, now));
                 self.refuse(MAY_BE_OLD);
-                Ok(Taken::MayBeOld)
+                Ok(BlockOutcome::MayBeOld)
             }
             Ok(said) => {
                 self.master = Some((master, now));
                 self.holding = *block;
                 self.use_block(now, said);
-                Ok(Taken::Used)
+                Ok(BlockOutcome::Used)
             }
             Err(refused) => {
                 self.refuse(refused as u16);
-                Ok(Taken::Refused(refused))
+                Ok(BlockOutcome::Refused(refused))
             }
         }
     }
@@ -406,7 +406,7 @@ impl Hub {
         said.control.engage &= self.pinned.lets_engage();
         said.control.zero &= self.pinned.lets_engage();
         self.control = Some((now, said.control));
-        self.speaker.say(now, &said);
+        self.speaker.transmit(now, &said);
     }
 
     /// A master has gone: another need not wait.

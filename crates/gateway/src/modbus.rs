@@ -1,6 +1,6 @@
 //! Modbus TCP: a thread for each master.
 //!
-//! Any number up to [`MOST`] may read, one writes: the first whose block was used, until it is gone
+//! Any number up to [`MAX`] may read, one writes: the first whose block was used, until it is gone
 //! or silent. A connection that says what is no request, or half of one for too long, is closed; the
 //! others do not notice.
 
@@ -23,7 +23,7 @@ use trueup_modbus::{
 use crate::{bridge::Shared, hub::Master};
 
 /// Masters at a time: as many as a small PLC has connections. One more is closed at once.
-pub const MOST: usize = 16;
+pub const MAX: usize = 16;
 /// How long a connection waits before it looks whether it is to end.
 const LOOK: Duration = Duration::from_millis(100);
 /// How long the rest of a request may take.
@@ -92,7 +92,7 @@ pub fn serve(shared: Shared, listener: TcpListener, unit: u8) -> io::Result<Mast
                 thread::sleep(LOOK);
                 continue;
             };
-            if all.connected.fetch_add(1, Ordering::Relaxed) >= MOST {
+            if all.connected.fetch_add(1, Ordering::Relaxed) >= MAX {
                 all.connected.fetch_sub(1, Ordering::Relaxed);
                 continue;
             }

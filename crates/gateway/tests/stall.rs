@@ -46,7 +46,7 @@ const NANOMETRES_PER_MS: i32 = 80;
 
 /// Returns a bridge with one client at a time, whose offset on Z is its time; positions of X that come, in ms, with the
 /// time at which they do.
-fn bridge(start: Instant, heard: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
+fn bridge(start: Instant, received: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
     let (listener, port) = listen();
     thread::spawn(move || {
         for stream in listener.incoming() {
@@ -62,7 +62,7 @@ fn bridge(start: Instant, heard: Arc<Mutex<Vec<(i32, i32)>>>) -> u16 {
                             let frame = port.receive(*byte);
                             let command = frame.and_then(|it| receiver.accept(&it).ok().flatten());
                             if let Some(Command::Position(at)) = command {
-                                heard.lock().expect("whole").push((at.position.0, ms(start)));
+                                received.lock().expect("whole").push((at.position.0, ms(start)));
                             }
                         }
                     }
@@ -125,8 +125,8 @@ fn proxy(to: u16, stands: Arc<AtomicBool>) -> u16 {
 /// Checks what a PLC sees and says through a line that stalls for this time.
 fn stalls_for(stall: Duration) {
     let (start, stop) = (Instant::now(), Arc::new(AtomicBool::new(false)));
-    let (heard, stands) = (Arc::default(), Arc::new(AtomicBool::new(false)));
-    let port = proxy(bridge(start, Arc::clone(&heard)), stands.clone());
+    let (received, stands) = (Arc::default(), Arc::new(AtomicBool::new(false)));
+    let port = proxy(bridge(start, Arc::clone(&received)), stands.clone());
     let open = move || -> std::io::Result<Ends> {
         let stream = TcpStream::connect(("127.0.0.1", port))?;
         stream.set_nodelay(true)?;
@@ -166,15 +166,15 @@ fn stalls_for(stall: Duration) {
     let again = seen.iter().filter(|(said, _, _)| Duration::from_millis(*said as u64) > ends);
     assert!(again.count() > 50, "{stall:?}: it goes on afterwards");
 
-    let heard = heard.lock().expect("whole");
+    let received = received.lock().expect("whole");
     let begins = i64::try_from(begins.as_millis()).expect("short");
-    let late: Vec<_> = heard.iter().filter(|&&it| age(it) > OLDEST_MS).collect();
-    println!("{stall:?}: {} of {} positions came late", late.len(), heard.len());
+    let late: Vec<_> = received.iter().filter(|&&it| age(it) > OLDEST_MS).collect();
+    println!("{stall:?}: {} of {} positions came late", late.len(), received.len());
     for (said, came) in &late {
         let after = i64::from(*said) - begins;
         assert!(after <= ON_ITS_WAY_MS, "{stall:?}: said at {said} ms, executed at {came} ms");
     }
-    let last = heard.last().expect("positions");
+    let last = received.last().expect("positions");
     assert!(age(*last) <= OLDEST_MS, "{stall:?}: it goes on afterwards: {last:?}");
 }
 

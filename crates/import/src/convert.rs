@@ -161,7 +161,7 @@ impl Table<'_> {
             }))
         };
         match &plan.role {
-            Role::LeftOut(_) | Role::DateOf => Ok(None),
+            Role::Ignored(_) | Role::DateOf => Ok(None),
             Role::Bare(target) => column(&target.name, "", target.unit(), self.numbers(at, None)?),
             Role::Number { target, unit, per_base } => {
                 let values = self.numbers(at, Some(*unit))?;

@@ -121,7 +121,7 @@ pub fn import(bytes: &[u8], path: &Path, answers: &Answers) -> Result<Imported, 
     }
     let mut left_out: Vec<(String, String)> = Vec::new();
     for plan in &plans {
-        if let plan::Role::LeftOut(why) = plan.role {
+        if let plan::Role::Ignored(why) = plan.role {
             left_out.push((plan.header.clone(), why.into()));
         }
     }

@@ -35,7 +35,7 @@ pub(crate) enum Role {
     /// The actual position, from which the error of this name is computed.
     Actual { target: Target, unit: Unit, position: usize },
     /// Left out, and why.
-    LeftOut(&'static str),
+    Ignored(&'static str),
 }
 
 /// A column with its role.
@@ -109,7 +109,7 @@ pub(crate) fn plan(layout: &Layout, answers: &Answers, path: &Path) -> Result<Ve
             Ok(role) => role,
             Err(Refused::Open(open)) => {
                 questions.extend(open);
-                Role::LeftOut("")
+                Role::Ignored("")
             }
             Err(bad) => return Err(bad),
         };
@@ -135,7 +135,7 @@ pub(crate) fn target_of(role: &Role) -> Option<&Target> {
         | Role::Moments { target, .. }
         | Role::Elapsed { target, .. }
         | Role::Actual { target, .. } => Some(target),
-        Role::DateOf | Role::LeftOut(_) => None,
+        Role::DateOf | Role::Ignored(_) => None,
     }
 }
 
@@ -316,7 +316,7 @@ fn role(
     let Draft { source, counts, unit, .. } = draft;
     let is_moments = counts.stamps > 0 && counts.stamps >= counts.numbers;
     let target = match &draft.meaning {
-        Meaning::Nothing => return Ok(Role::LeftOut("it is no quantity of a run")),
+        Meaning::Nothing => return Ok(Role::Ignored("it is no quantity of a run")),
         Meaning::Date if is_moments && has_time => return Ok(Role::DateOf),
         Meaning::Date if is_moments => Target::of("time_s"),
         Meaning::Date if counts.others > 0 => {
@@ -325,15 +325,15 @@ fn role(
                 .with_help("write 2026-04-03, 03.04.2026 or 04/03/2026")
                 .into());
         }
-        Meaning::Date => return Ok(Role::LeftOut("it is no date that is known")),
+        Meaning::Date => return Ok(Role::Ignored("it is no date that is known")),
         // Their questions are asked already.
         Meaning::Position | Meaning::Measured | Meaning::Direction | Meaning::Actual(None) => {
-            return Ok(Role::LeftOut(""));
+            return Ok(Role::Ignored(""));
         }
         Meaning::Actual(Some(axis)) => {
             let unit = numeric_unit(draft, Dimension::Length, None)?;
             let target = Target::of(&format!("measured_d{axis}_um"));
-            let Some(position) = position else { return Ok(Role::LeftOut("")) };
+            let Some(position) = position else { return Ok(Role::Ignored("")) };
             return Ok(Role::Actual { target, unit, position });
         }
         Meaning::Other(name) => other_target(name, draft),
@@ -356,10 +356,10 @@ fn role(
                 format!("leave it out: --column {}", shell_word(&format!("{}=-", source.header)));
             return Err(BadInput::new(source.place.clone(), rule).with_help(help).into());
         }
-        return Ok(Role::LeftOut("it is text"));
+        return Ok(Role::Ignored("it is text"));
     }
     if counts.numbers == 0 {
-        return Ok(Role::LeftOut("it has no value"));
+        return Ok(Role::Ignored("it has no value"));
     }
     let own = (source.header == target.name).then(|| own_unit(&target)).flatten();
     if is_time {
@@ -407,7 +407,7 @@ fn role_of_moments(draft: &Draft<'_>, target: Target, is_time: bool) -> Result<R
         return Ok(Role::Moments { target, form });
     }
     if !draft.is_named {
-        return Ok(Role::LeftOut("it is a time, and no clock of the run"));
+        return Ok(Role::Ignored("it is a time, and no clock of the run"));
     }
     let rule = format!("{} holds times, no numbers", source.header);
     Err(BadInput::new(source.place.clone(), rule).into())

@@ -12,7 +12,7 @@ use std::{collections::BTreeSet, env, path::Path};
 
 use trueup_learn::{EventKind, Limits, Memory, learn};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_numerics::least_squares::Triangle;
+use trueup_numerics::least_squares::GivensQr;
 use trueup_twin::year::{Happens, Kind, Year, year};
 
 /// The readings of two shifts and of ten.
@@ -88,7 +88,7 @@ fn floor(year: &Year) -> Vec<f64> {
     let of_day = |day: usize| {
         let event = year.events.iter().map(|it| starts.partition_point(|s| *s < it.at_s));
         let since = event.filter(|first| *first < day).max().unwrap_or(0);
-        let mut triangle = Triangle::new(others.len());
+        let mut triangle = GivensQr::new(others.len());
         days[since.max(day.saturating_sub(FITTED))..day]
             .iter()
             .flatten()

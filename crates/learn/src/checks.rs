@@ -9,7 +9,7 @@ const DAY_S: f64 = 86_400.0;
 /// After this many days without a check one is asked for: four weeks.
 const DUE_DAYS: f64 = 28.0;
 /// This many checks say whether they drift: two of them are on a line.
-const FEWEST: usize = 4;
+const MIN: usize = 4;
 /// Standard errors of the slope at which a drift is certain: once in 10⁶ of normal noise.
 const CERTAIN: f64 = 5.0;
 
@@ -45,7 +45,7 @@ pub(crate) fn add(memory: &mut Memory, time_s: Option<f64>, um: f64, scatter_um:
 /// Returns the drift from the first check to the last in µm and half its 95 % interval, where it is certain. A check
 /// repeats to what checks scatter about their line, and no better than a tenth of the scatter of a reading.
 fn drift(checks: &[[f64; 2]], scatter_um: f64) -> Option<[f64; 2]> {
-    if checks.len() < FEWEST {
+    if checks.len() < MIN {
         return None;
     }
     let count = checks.len() as f64;

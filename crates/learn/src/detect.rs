@@ -50,10 +50,10 @@ const KNOWN: f64 = 4.0;
 /// two readings a day leave this much.
 const USUAL: f64 = 0.5;
 /// Readings after an event: no fewer than three that agree can say anything; a scatter needs more.
-const FEWEST: usize = 3;
+const MIN: usize = 3;
 /// A reading agrees with an event that makes it twice as likely, in ln: three that agree, of which two are bad, are too few.
 const AGREES: f64 = 0.7;
-const FEWEST_SCATTER: usize = 12;
+const MIN_SCATTER: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
 const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
 /// Standard errors between alternatives that are distinguished.
@@ -125,7 +125,7 @@ pub(crate) struct Finding {
 
 /// Returns the best explanation of `rows`, which begin at an instant; `None` where nothing is certain.
 pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Option<Finding> {
-    if rows.len() < FEWEST {
+    if rows.len() < MIN {
         return None;
     }
     let Left { e, unknown_um, sigma } = left(rows, before);
@@ -174,7 +174,7 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
 }
 
 /// Returns true if nothing has happened since an earlier instant than that of `rows`, whose belief `before` is.
-pub(crate) fn is_foreseen(rows: &[Row<'_>], before: &Before) -> bool {
+pub(crate) fn is_predicted(rows: &[Row<'_>], before: &Before) -> bool {
     let Left { e, sigma, .. } = left(rows, before);
     most(&e, sigma) < CERTAIN
 }
@@ -256,7 +256,7 @@ fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fit
         let explained = likelihood(e - size * h, sigma) - likelihood(*e, sigma);
         explained > AGREES && weight(e - size * h, sigma) > 0.5
     };
-    if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < FEWEST {
+    if e.iter().zip(h).filter(|pair| agrees(*pair)).count() < MIN {
         return None;
     }
     let known: f64 = e.iter().zip(h).map(|(e, h)| weight(e - size * h, sigma) * h * h).sum();
@@ -267,7 +267,7 @@ fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fit
 
 /// Fits a larger scatter about a level; `None` where it explains nothing.
 fn scatter(e: &[f64], sigma: f64) -> Option<Fitted> {
-    if e.len() < FEWEST_SCATTER {
+    if e.len() < MIN_SCATTER {
         return None;
     }
     let level = median(&mut e.to_vec());

@@ -73,7 +73,7 @@ pub(crate) struct Filter {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fate {
     /// Used.
-    Taken,
+    ReadingOutcome,
     /// Refused: this many µm off, and this many standard deviations.
     Refused { off_um: f64, deviations: f64 },
     /// The machine has changed, and it and those before it are used.
@@ -125,7 +125,7 @@ impl Filter {
     pub fn likelihood(&self, g: &[f64], y_um: f64) -> f64 {
         let g = with_wander(g);
         let s = self.unknown(&g) + self.noise_um.powi(2);
-        let off_um = y_um - self.foresees(&g);
+        let off_um = y_um - self.predicts(&g);
         let good = (-0.5 * off_um * off_um / s).exp() / (TAU * s).sqrt();
         (1.0 - BAD) * good + BAD / (2.0 * ANYTHING_UM)
     }
@@ -243,7 +243,7 @@ impl Filter {
     /// Takes `y_um` where the sensitivities are `g`, or refuses it.
     pub fn take(&mut self, g: &[f64], y_um: f64) -> Fate {
         let g = &with_wander(g);
-        let off_um = y_um - self.foresees(g);
+        let off_um = y_um - self.predicts(g);
         let deviations = off_um / (self.unknown(g) + self.noise_um.powi(2)).sqrt();
         let is_refused = deviations.abs() > REFUSED;
         let side = if is_refused { deviations.signum() as i8 } else { 0 };
@@ -253,7 +253,7 @@ impl Filter {
         }
         if !is_refused {
             self.update(g, y_um);
-            return Fate::Taken;
+            return Fate::ReadingOutcome;
         }
         let on_this_side = |it: &&(i8, Vec<f64>, f64)| it.0 == side;
         if self.last.iter().filter(on_this_side).count() < CHANGED {
@@ -266,7 +266,7 @@ impl Filter {
     }
 
     /// Returns what it foresees, what wanders included.
-    fn foresees(&self, g: &[f64]) -> f64 {
+    fn predicts(&self, g: &[f64]) -> f64 {
         g.iter().zip(&self.x).map(|(g, x)| g * x).sum()
     }
 
@@ -283,7 +283,7 @@ impl Filter {
     fn update(&mut self, g: &[f64], y_um: f64) {
         let unknown = self.unknown(g);
         let s = unknown + self.noise_um.powi(2);
-        let off_um = y_um - self.foresees(g);
+        let off_um = y_um - self.predicts(g);
         let held_um = off_um.clamp(-COUNTS * s.sqrt(), COUNTS * s.sqrt());
         let pg = self.p_times(g);
         let n = g.len();
@@ -361,7 +361,7 @@ mod tests {
         let fates: Vec<Fate> = (0..4).map(|_| filter.take(&[1.0, 40.0], 30.0)).collect();
         assert!(fates[..3].iter().all(|fate| matches!(fate, Fate::Refused { .. })), "{fates:?}");
         assert_eq!(fates[3], Fate::Changed);
-        assert!((filter.foresees(&[1.0, 40.0]) - 30.0).abs() < 12.0, "{:?}", filter.x);
+        assert!((filter.predicts(&[1.0, 40.0]) - 30.0).abs() < 12.0, "{:?}", filter.x);
         // Of two sides none is a change: bad readings come from both.
         let mut filter = settled();
         for n in 0..12 {

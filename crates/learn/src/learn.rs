@@ -5,7 +5,7 @@ use std::{borrow::Cow, collections::HashSet};
 use serde::Serialize;
 use trueup_machine::{
     BadInput, Location, Machine, MachineFile, RunFile,
-    applied::{Applied, Factor, Unaided, applied, decisive_record},
+    applied::{Applied, Factor, Uncompensated, applied, decisive_record},
     file::Quantity,
 };
 
@@ -16,7 +16,7 @@ use crate::{
     event::{Event, clock},
     filter::Fate,
     limits::{Limits, times},
-    memory::{Change, Kept, Memory, digits as hash_digits},
+    memory::{Change, Memory, StoredReading, digits as hash_digits},
     readings::{self, FIRST_DAY_S, Reading},
     reconcile::reconciled,
     replay::{self, Believed},
@@ -37,7 +37,7 @@ const FINEST_UM: f64 = 1e-4;
 
 /// The outcome of a reading.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Taken {
+pub struct ReadingOutcome {
     /// The row of the record, from 1, without the header.
     pub row: usize,
     /// The reading in µm.
@@ -58,7 +58,7 @@ pub struct Learned {
     /// The state after the record.
     pub memory: Memory,
     /// Each new reading, in its order.
-    pub readings: Vec<Taken>,
+    pub readings: Vec<ReadingOutcome>,
     /// Readings of the record that were learned from before.
     pub seen: usize,
     /// Half the 95 % interval of each constant, in its unit.
@@ -95,7 +95,7 @@ pub fn learn(
     let before = written(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
-    let (run, told) = Unaided::of(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
+    let (run, told) = Uncompensated::of(Cow::Borrowed(run), Some(&ran), Some(quantity))?;
     notes.extend(told);
     let has_bridge = has_bridge(&run, &ran, quantity)?;
     let record = readings::of(&run, quantity)?;
@@ -118,7 +118,7 @@ pub fn learn(
     for reading in &new {
         if !learner.memory.is_applied_once && has_bridge {
             let rows = run.altered(reading.row + 1, |_, _| {});
-            let part = Unaided::of(Cow::Owned(rows), Some(&ran), Some(quantity));
+            let part = Uncompensated::of(Cow::Owned(rows), Some(&ran), Some(quantity));
             learner.memory.is_applied_once = part.is_ok_and(|(part, _)| {
                 matches!(applied(&[part], Some(&ran), quantity), Applied::Once(_))
             });
@@ -234,7 +234,11 @@ fn columns(memory: &mut Memory, sensitivity: &Sensitivity) -> Vec<usize> {
 ///
 /// # Errors
 /// The CNC applies them otherwise than once.
-fn has_bridge(run: &Unaided<'_>, ran: &Machine, quantity: Quantity) -> Result<bool, BadInput> {
+fn has_bridge(
+    run: &Uncompensated<'_>,
+    ran: &Machine,
+    quantity: Quantity,
+) -> Result<bool, BadInput> {
     match applied(std::slice::from_ref(run), Some(ran), quantity) {
         Applied::Nothing => Ok(false),
         Applied::Once(_) | Applied::Unknown(_) => Ok(true),
@@ -278,10 +282,10 @@ impl Learner<'_> {
     }
 
     /// Takes one reading: what became of it, and what held it.
-    fn one(&mut self, reading: &Reading, um: f64, is_factor_known: bool) -> (Taken, Held) {
+    fn one(&mut self, reading: &Reading, um: f64, is_factor_known: bool) -> (ReadingOutcome, Held) {
         let (g, file_um) =
             (&self.sensitivity.um[reading.row], self.sensitivity.believed_um[reading.row]);
-        let mut taken = Taken {
+        let mut taken = ReadingOutcome {
             row: reading.row + 1,
             measured_um: um,
             foreseen_um: None,
@@ -305,7 +309,7 @@ impl Learner<'_> {
             let um = if um.is_finite() { rounded(um) } else { 0.0 };
             format!("{um:.4}").parse().unwrap_or(um)
         };
-        let kept = Kept {
+        let kept = StoredReading {
             t: reading.time_s,
             y: short(&(um - file_um)),
             g: g.iter().map(short).collect(),
@@ -323,7 +327,7 @@ impl Learner<'_> {
             (self.believed.bank.lasting(), self.believed.bank.scatter_um());
         let last = memory.window.len() - 1;
         match self.believed.advance(memory, last) {
-            Fate::Taken => taken.used = true,
+            Fate::ReadingOutcome => taken.used = true,
             Fate::Refused { off_um, deviations } => {
                 taken.reason = Some(format!(
                     "refused: {off_um:+.1} µm from the prediction, {deviations:.0} times what a reading may \

@@ -47,7 +47,7 @@ mod written;
 
 pub use constants::Constant;
 pub use event::{Event, EventKind, clock};
-pub use learn::{Learned, Taken, learn};
+pub use learn::{Learned, ReadingOutcome, learn};
 pub use limits::Limits;
 pub use live::Live;
 pub use memory::{Change, Memory, Owner};

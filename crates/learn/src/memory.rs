@@ -65,7 +65,7 @@ impl Owner {
 
 /// A reading as it is kept.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Kept {
+pub(crate) struct StoredReading {
     /// The clock in s.
     pub t: Option<f64>,
     /// The reading less the prediction of the user's file, in µm.
@@ -120,7 +120,7 @@ pub struct Memory {
     /// The number of the window's first reading.
     pub(crate) first: u64,
     /// The last readings.
-    pub(crate) window: Vec<Kept>,
+    pub(crate) window: Vec<StoredReading>,
     /// Hashes of the readings that were learned from, in hexadecimal digits.
     pub(crate) seen: String,
     /// The same by the rule of the form before this one.

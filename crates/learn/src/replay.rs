@@ -5,7 +5,7 @@ use crate::{
     detect::{self, Before, Finding, Row},
     event::Action,
     filter::Fate,
-    memory::{Kept, Memory},
+    memory::{Memory, StoredReading},
     readings, wear,
 };
 
@@ -99,7 +99,7 @@ impl Believed {
         let earlier = &self.tail[place.saturating_sub(BEFORE)..place.min(self.tail.len())];
         earlier.iter().any(|bank| {
             seen(memory, [index, memory.window.len()], None, bank)
-                .is_some_and(|(rows, before)| detect::is_foreseen(&rows, &before))
+                .is_some_and(|(rows, before)| detect::is_predicted(&rows, &before))
         })
     }
 }
@@ -150,7 +150,7 @@ fn step(memory: &Memory, index: usize, bank: &mut Bank) -> Fate {
 
 /// Returns a reading less the prediction of the user's file, counted from the zero of its time and by the checks of the
 /// probe; without the event that begins at `own`.
-pub(crate) fn level(memory: &Memory, kept: &Kept, sequence: u64, own: Option<u64>) -> f64 {
+pub(crate) fn level(memory: &Memory, kept: &StoredReading, sequence: u64, own: Option<u64>) -> f64 {
     let steps =
         memory.events.iter().filter(|it| it.sequence <= sequence && Some(it.sequence) != own);
     let zero: f64 = steps.map(|it| if let Action::Zero(um) = it.action { um } else { 0.0 }).sum();

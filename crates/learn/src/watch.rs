@@ -16,7 +16,7 @@ use crate::{
 /// Readings that are looked back at: twelve days at two a day.
 const BACK: usize = 24;
 /// No fewer are after an event.
-const FEWEST: usize = 3;
+const MIN: usize = 3;
 /// Readings from which on constants are known better than before the first: ten for each of four.
 const SETTLED: u64 = 40;
 /// A step that the readings do not name acts from this many times the smallest one on: the estimate follows a smaller one.
@@ -84,7 +84,7 @@ fn follow(memory: &mut Memory, believed: &mut Believed, place: usize) {
 fn search(memory: &mut Memory, believed: &mut Believed, from: u64) {
     let end = memory.window.len();
     let first = (from.saturating_sub(memory.first) as usize).max(end.saturating_sub(BACK));
-    let all: Vec<(usize, Finding)> = (first..=end.saturating_sub(FEWEST))
+    let all: Vec<(usize, Finding)> = (first..=end.saturating_sub(MIN))
         .filter(|index| is_settled(memory.first + *index as u64))
         .filter_map(|index| Some((index, believed.explain(memory, [index, end], None)?)))
         .filter(|(index, _)| !believed.is_moved_back(memory, *index))

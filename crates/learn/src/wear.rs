@@ -14,7 +14,7 @@
 use crate::{
     constants::Constant,
     event::{Action, Event, EventKind, digits},
-    memory::{Kept, Memory},
+    memory::{Memory, StoredReading},
     worn::{CERTAIN, Sums},
 };
 
@@ -36,7 +36,7 @@ pub(crate) fn wears(constant: &Constant) -> bool {
 /// that misses, and the scatter of a reading.
 pub(crate) fn said(
     constants: &[Constant],
-    before: &[Kept],
+    before: &[StoredReading],
     g: &[f64],
     believed: &[f64],
     missed_um: f64,

@@ -17,7 +17,7 @@
 //! |---|---|---|
 //! | WindowSizeInit, WindowSizeValid | [`WINDOW`] | frames, not times: no clock here, silence is for the caller |
 //! | WindowSizeInvalid, MinOkStateInvalid | [`IN_A_ROW`] | with MaxErrorStateInvalid 0 |
-//! | MaxErrorStateInit, MaxErrorStateValid | [`MOST_DAMAGED`] | |
+//! | MaxErrorStateInit, MaxErrorStateValid | [`MAX_DAMAGED`] | |
 //! | MinOkStateInit, MinOkStateValid | 1 | the frame that ends `NODATA` is the first of the window |
 //! | ClearToInvalid | true | |
 //!
@@ -39,7 +39,7 @@ pub const WINDOW: u32 = u8::BITS;
 /// Half of them: noise alone passes with 2⁻¹⁶ a frame, so after a frame that was right the fifth
 /// damaged one in a row ends it; a line that damages one frame in four at random gets there once in
 /// 36 windows (binomial), and is back after three good ones.
-pub const MOST_DAMAGED: u32 = WINDOW / 2;
+pub const MAX_DAMAGED: u32 = WINDOW / 2;
 
 /// Frames in a row, whole and in order, after which a stream is trusted again.
 ///
@@ -118,7 +118,7 @@ impl Stream {
     fn step(&mut self, is_sound: bool, is_damaged: bool) {
         self.sound = self.sound << 1 | u8::from(is_sound);
         self.damaged = self.damaged << 1 | u8::from(is_damaged);
-        let is_bad = self.damaged.count_ones() > MOST_DAMAGED;
+        let is_bad = self.damaged.count_ones() > MAX_DAMAGED;
         let next = match self.trust {
             Trust::Initial if is_bad => Trust::Invalid,
             Trust::Initial if is_sound => Trust::Valid,

@@ -25,7 +25,7 @@ pub(crate) struct Status {
 
 impl Status {
     /// Takes a frame of `Status`.
-    pub(crate) fn hear(&mut self, now: Duration, frame: &Frame) {
+    pub(crate) fn receive(&mut self, now: Duration, frame: &Frame) {
         let Ok(status) = self.receiver.accept(frame) else { return };
         match status.item {
             Item::Temperatures { pair, centi_c } => {

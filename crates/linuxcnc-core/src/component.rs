@@ -171,11 +171,11 @@ impl Component {
     }
 
     /// Takes what came over the line.
-    pub fn hear(&mut self, now: Duration, event: &Event) {
+    pub fn receive(&mut self, now: Duration, event: &Event) {
         match event {
-            Event::Frame(frame) if frame.id() == STATUS_ID => self.status.hear(now, frame),
-            Event::Frame(frame) => self.offsets.hear(now, frame),
-            Event::Malformed(_) => self.offsets.hear_malformed(),
+            Event::Frame(frame) if frame.id() == STATUS_ID => self.status.receive(now, frame),
+            Event::Frame(frame) => self.offsets.receive(now, frame),
+            Event::Malformed(_) => self.offsets.receive_malformed(),
             Event::Accepted | Event::Refused | Event::Other(_) => {}
         }
     }
@@ -361,7 +361,7 @@ pub(crate) mod tests {
                     let output = Output { offset, quality: Quality::Live, ..Output::default() };
                     let counter = (self.ms % 256) as u8;
                     for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
-                        self.component.hear(now, &Event::Frame(frame));
+                        self.component.receive(now, &Event::Frame(frame));
                     }
                 }
                 let (outputs, frames) = self.component.step(now, &self.inputs);
@@ -438,7 +438,7 @@ pub(crate) mod tests {
         let item = Item::Temperatures { pair: 1, centi_c: [Some(2_345), None] };
         let said = status::Status { last_refused: status::Reason::None, item };
         let frame = Event::Frame(status::encode(&said, 0));
-        world.component.hear(Duration::from_millis(world.ms), &frame);
+        world.component.receive(Duration::from_millis(world.ms), &frame);
         world.live(3_400);
         assert_eq!(world.outputs.temperatures_c[..5], [None, None, Some(23.45), None, None]);
         world.live(2);

@@ -62,14 +62,14 @@ impl ReceivedOffsets {
     }
 
     /// Takes a frame. Frames that must not be used are counted.
-    pub fn hear(&mut self, now: Duration, frame: &Frame) {
+    pub fn receive(&mut self, now: Duration, frame: &Frame) {
         if let Ok(Some(output)) = self.receiver.accept(frame) {
             self.last = Some((now, output));
         }
     }
 
     /// Takes note of a line that was not a frame.
-    pub fn hear_malformed(&mut self) {
+    pub fn receive_malformed(&mut self) {
         self.malformed_lines = self.malformed_lines.saturating_add(1);
     }
 
@@ -148,8 +148,8 @@ mod tests {
             flags: Flags::NONE,
             age_ms: 3,
         };
-        offsets.hear(now, &offset_xy(&output, counter));
-        offsets.hear(now, &offset_z(&output, counter));
+        offsets.receive(now, &offset_xy(&output, counter));
+        offsets.receive(now, &offset_z(&output, counter));
     }
 
     #[test]
@@ -187,9 +187,9 @@ mod tests {
         assert_eq!(offsets.counters().sequence_errors, 2);
         assert_eq!(offsets.target(ms(111), &LIMITS), Target::Hold);
         let damaged = Frame::new(0x181, &[0; 8]).unwrap();
-        offsets.hear(ms(112), &damaged);
+        offsets.receive(ms(112), &damaged);
         assert_eq!(offsets.counters().crc_errors, 1);
-        offsets.hear_malformed();
+        offsets.receive_malformed();
         assert_eq!(offsets.counters().malformed, 1);
     }
 

@@ -329,7 +329,7 @@ mod tests {
             let there = [0.0, 0.0, offset_mm];
             let command =
                 Command { position_mm: [0.0, 0.0, 7.0], offset_mm: there, ..Command::default() };
-            said(&mut sender, ms(now), &command).into_iter().find_map(|heard| match heard {
+            said(&mut sender, ms(now), &command).into_iter().find_map(|received| match received {
                 Received::Position(at) if at.axis == LinearAxis::Z => {
                     Some((at.position.0, at.direction))
                 }
@@ -370,7 +370,7 @@ mod tests {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let mut command = Command::default();
         let zero = |said: Vec<Received>| {
-            said.into_iter().find_map(|heard| match heard {
+            said.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.zero),
                 _ => None,
             })
@@ -389,7 +389,7 @@ mod tests {
         let mut sender = Sender::new(ms(2), false, [Some(0.0); 3]);
         let learned = |sender: &mut Sender, now| {
             let said = said(sender, ms(now), &Command::default());
-            said.into_iter().find_map(|heard| match heard {
+            said.into_iter().find_map(|received| match received {
                 Received::Control(control) => Some(control.learned),
                 _ => None,
             })
@@ -416,11 +416,11 @@ mod tests {
                 load_n: wrong,
                 ..Command::default()
             };
-            let heard = said(&mut sender, ms(0), &command);
+            let received = said(&mut sender, ms(0), &command);
             let is_y =
                 |it: &Received| matches!(it, Received::Position(at) if at.axis == LinearAxis::Y);
-            assert_eq!(heard.len(), 2, "Control and Y alone: {heard:?}");
-            assert!(heard.iter().any(is_y));
+            assert_eq!(received.len(), 2, "Control and Y alone: {received:?}");
+            assert!(received.iter().any(is_y));
         }
     }
 
@@ -432,8 +432,8 @@ mod tests {
         assert_eq!(spindle(-24_000.0, 1e9), Spindle { speed: Rpm(24_000), load_n: i16::MAX });
         let mut sender = Sender::new(ms(2), true, [Some(0.0); 3]);
         let command = Command { angles_deg: [725.0, -30.0], ..Command::default() };
-        let heard = said(&mut sender, ms(0), &command);
+        let received = said(&mut sender, ms(0), &command);
         let angles = [5_000_000, -30_000_000].map(MicroDegrees);
-        assert!(heard.contains(&Received::Rotary(Rotary { angles })));
+        assert!(received.contains(&Received::Rotary(Rotary { angles })));
     }
 }

@@ -91,11 +91,11 @@ pub fn run(
             cut = pins.cut_wire();
             news.wire(cut, &mut tell);
         }
-        for heard in line.heard() {
+        for heard in line.received() {
             match heard {
                 LineEvent::Up => tell("the line is open"),
                 LineEvent::Down(why) => news.line_down(&why, &mut tell),
-                LineEvent::Received(event) => component.hear(now, &event),
+                LineEvent::Received(event) => component.receive(now, &event),
                 LineEvent::Late => tell(
                     "the line has stalled, and delivers what is old: not used until it is in time again",
                 ),
@@ -285,7 +285,7 @@ mod tests {
         let (mut component, mut receiver) = (component(), Receiver::new());
         let item = Item::Calibration(RUNNING);
         let said = status::encode(&Status { last_refused: status::Reason::None, item }, 0);
-        component.hear(Duration::ZERO, &Event::Frame(said));
+        component.receive(Duration::ZERO, &Event::Frame(said));
         let mut lessons = Lessons { news, of, amounts: None };
         let mut all = Vec::new();
         for turn in 0..5 {

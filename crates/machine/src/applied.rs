@@ -53,13 +53,13 @@ const LATE_S: f64 = 1.0;
 /// A run as it would have been measured without a bridge: the one kind of run that constants of a machine are
 /// made of.
 #[derive(Clone, Debug)]
-pub struct Unaided<'r> {
+pub struct Uncompensated<'r> {
     run: Cow<'r, RunFile>,
-    /// The offset applied in each row, by quantity: see [`Unaided::offset_um`].
+    /// The offset applied in each row, by quantity: see [`Uncompensated::offset_um`].
     offset_um: Vec<(Quantity, Vec<f64>)>,
 }
 
-impl Deref for Unaided<'_> {
+impl Deref for Uncompensated<'_> {
     type Target = RunFile;
 
     fn deref(&self) -> &RunFile {
@@ -67,7 +67,7 @@ impl Deref for Unaided<'_> {
     }
 }
 
-impl<'r> Unaided<'r> {
+impl<'r> Uncompensated<'r> {
     /// Returns `run` without what a bridge applied, and the notes for the user, a sentence each. A run without the
     /// columns of a bridge is unchanged.
     ///
@@ -120,7 +120,7 @@ type Offsets = ([Vec<f64>; 3], Vec<String>);
 /// errors that are measured across axes; `None` where the run has no columns of a bridge.
 ///
 /// # Errors
-/// As [`Unaided::of`].
+/// As [`Uncompensated::of`].
 pub fn offsets_um(run: &RunFile, machine: Option<&Machine>) -> Result<Option<Offsets>, BadInput> {
     let mut notes = Vec::new();
     let Some(record) = Record::of(run, machine, &mut notes)? else { return Ok(None) };
@@ -145,7 +145,7 @@ pub fn offsets_um(run: &RunFile, machine: Option<&Machine>) -> Result<Option<Off
 type Without = (RunFile, Vec<(Quantity, Vec<f64>)>);
 
 /// `run` without what was applied; `None` where nothing was. The notes and the errors are those of
-/// [`Unaided::of`].
+/// [`Uncompensated::of`].
 fn taken_out(
     run: &RunFile,
     machine: Option<&Machine>,

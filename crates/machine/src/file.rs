@@ -48,7 +48,7 @@ use read::{Document, Section};
 use write::{Edit, NewSection};
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
-pub const MOST_BYTES: u64 = 4 << 20;
+pub const MAX_BYTES: u64 = 4 << 20;
 
 /// The machine file's reader.
 #[derive(Clone, Copy, Debug)]
@@ -66,9 +66,9 @@ impl MachineFile {
     /// Reads the text of the machine file at `path`, as it is.
     ///
     /// # Errors
-    /// The file cannot be read, is longer than [`MOST_BYTES`], or is not UTF-8.
+    /// The file cannot be read, is longer than [`MAX_BYTES`], or is not UTF-8.
     pub fn read_text(path: &Path) -> Result<String, BadInput> {
-        bounded::read_text(path, MOST_BYTES)
+        bounded::read_text(path, MAX_BYTES)
     }
 
     /// Reads `source`, the content of the file at `path` (which names it in errors and is not

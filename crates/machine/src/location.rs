@@ -73,7 +73,7 @@ pub struct BadInput {
     pub rule: String,
     /// The remedy, a sentence without its full stop, where there is more to say than the rule.
     pub help: Option<String>,
-    /// The other faults of the same file, in the order of its lines, fewer than [`MOST_LISTED`]; none
+    /// The other faults of the same file, in the order of its lines, fewer than [`MAX_LISTED`]; none
     /// of them has others.
     pub others: Vec<BadInput>,
     /// How much more is wrong with it than that.
@@ -81,7 +81,7 @@ pub struct BadInput {
 }
 
 /// Faults of a file that are reported with their lines, at most: more than a screen of them is not read.
-pub const MOST_LISTED: usize = 20;
+pub const MAX_LISTED: usize = 20;
 
 impl BadInput {
     /// `rule` is broken at `place`.
@@ -103,8 +103,8 @@ impl BadInput {
         let counted = errors.into_iter().inspect(|error| unlisted += error.unlisted);
         let mut errors: Vec<Self> = counted.flat_map(Self::one_by_one).collect();
         errors.sort_by_key(|error| (error.place.line, error.place.column));
-        unlisted += errors.len().saturating_sub(MOST_LISTED);
-        let mut errors = errors.into_iter().take(MOST_LISTED);
+        unlisted += errors.len().saturating_sub(MAX_LISTED);
+        let mut errors = errors.into_iter().take(MAX_LISTED);
         let first = errors.next()?;
         Some(Self { others: errors.collect(), unlisted, ..first })
     }

@@ -6,7 +6,7 @@
 //! time of day (ISO 8601) it is read as seconds from the first one of the file.
 //!
 //! The file is read line by line, one line a row, and its memory is that of its values: 12 bytes
-//! each. It is bounded: by [`MOST_BYTES`], [`MOST_COLUMNS`] and [`MOST_VALUES`], and a line by
+//! each. It is bounded: by [`MAX_BYTES`], [`MAX_COLUMNS`] and [`MAX_VALUES`], and a line by
 //! 1 MiB.
 
 mod cells;
@@ -36,9 +36,9 @@ use crate::{
     bounded,
     location::{BadInput, Location, did_you_mean},
 };
-use table::{Bounds, Slip, Table};
+use table::{Bounds, ColumnTypo, Table};
 
-pub use table::{Column, MOST_BYTES, MOST_COLUMNS, MOST_VALUES};
+pub use table::{Column, MAX_BYTES, MAX_COLUMNS, MAX_VALUES};
 
 pub use known::{KNOWN_COLUMNS, KnownColumn, is_known_column};
 
@@ -50,7 +50,7 @@ pub struct RunFile {
     header_line: usize,
     /// The line of each row, from 1: empty lines and comments are no rows.
     line_of_row: Vec<u32>,
-    slips: Vec<Slip>,
+    slips: Vec<ColumnTypo>,
     labels: Vec<(f64, String)>,
     epoch_s: Option<f64>,
 }
@@ -67,9 +67,9 @@ impl RunFile {
     /// Opens the run file at `path`, for [`Self::from_reader`].
     ///
     /// # Errors
-    /// The file cannot be opened, or is longer than [`MOST_BYTES`].
+    /// The file cannot be opened, or is longer than [`MAX_BYTES`].
     pub fn open(path: &Path) -> Result<File, BadInput> {
-        bounded::open(path, MOST_BYTES)
+        bounded::open(path, MAX_BYTES)
     }
 
     /// Reads a run from `source`; `path` names it in errors.
@@ -83,11 +83,11 @@ impl RunFile {
     /// No header or no row; a column without a name or with that of another; a row with more or
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
-    /// text that is not UTF-8; a source that cannot be read; more than [`MOST_BYTES`],
-    /// [`MOST_COLUMNS`] or [`MOST_VALUES`]. All that is wrong with a file is reported at once, up to
-    /// [`MOST_LISTED`](crate::location::MOST_LISTED) faults with their places.
+    /// text that is not UTF-8; a source that cannot be read; more than [`MAX_BYTES`],
+    /// [`MAX_COLUMNS`] or [`MAX_VALUES`]. All that is wrong with a file is reported at once, up to
+    /// [`MAX_LISTED`](crate::location::MAX_LISTED) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
-        Self::within(Bounds { bytes: MOST_BYTES, values: MOST_VALUES }, source, path)
+        Self::within(Bounds { bytes: MAX_BYTES, values: MAX_VALUES }, source, path)
     }
 
     fn within(bounds: Bounds, source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
@@ -154,7 +154,7 @@ impl RunFile {
 
     /// Names of columns that look like a known one, each with its place and what was probably meant.
     pub fn slips(&self) -> impl Iterator<Item = BadInput> {
-        self.slips.iter().map(|Slip { name, meant, column }| {
+        self.slips.iter().map(|ColumnTypo { name, meant, column }| {
             let rule = format!("{name} is no column that is known; did you mean {meant}?");
             let help =
                 format!("give it as {meant}, in that unit; else it is only a possible explanation");

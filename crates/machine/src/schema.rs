@@ -9,7 +9,7 @@ use crate::{
     effect::Cause,
     file::{
         keys::{FILE, Form, Key, Need, TERM, TERM_KEYS},
-        read::{Document, MOST_ELEMENTS},
+        read::{Document, MAX_ELEMENTS},
     },
     run_file::KNOWN_COLUMNS,
 };
@@ -74,7 +74,7 @@ fn table(keys: &[Key]) -> Value {
 
 fn value(key: &Key) -> Value {
     let numbers = json!({
-        "type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MOST_ELEMENTS,
+        "type": "array", "items": {"type": "number"}, "minItems": 1, "maxItems": MAX_ELEMENTS,
     });
     let three = json!({"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3});
     let mut schema = match key.form {
@@ -93,7 +93,7 @@ fn value(key: &Key) -> Value {
         Form::NumberOrNumbers => json!({"anyOf": [{"type": "number"}, numbers]}),
         Form::Vector => three,
         Form::Rows => json!({
-            "type": "array", "items": three, "minItems": 1, "maxItems": MOST_ELEMENTS,
+            "type": "array", "items": three, "minItems": 1, "maxItems": MAX_ELEMENTS,
         }),
         Form::Table(keys) => table(keys),
         Form::Terms => json!({"type": "array", "items": term()}),
@@ -226,8 +226,8 @@ fn range(key: &Key) -> String {
         Form::NotNegative => "from 0".into(),
         Form::Whole(least, u32::MAX) => format!("whole, from {least}"),
         Form::Whole(least, most) => format!("whole, {least} to {most}"),
-        Form::Numbers => format!("1 to {MOST_ELEMENTS} numbers"),
-        Form::Rows => format!("1 to {MOST_ELEMENTS} rows"),
+        Form::Numbers => format!("1 to {MAX_ELEMENTS} numbers"),
+        Form::Rows => format!("1 to {MAX_ELEMENTS} rows"),
         Form::Vector => "three numbers".into(),
         Form::Column => "`temp_<name>_c`".into(),
         Form::Text => "text".into(),

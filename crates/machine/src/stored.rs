@@ -41,13 +41,13 @@ pub(crate) fn rounded_unsigned(value: f64) -> Option<u32> {
 
 /// Returns the number with the fewest decimals near `exact` that is `same` for the board.
 pub(crate) fn fewest_decimals(exact: f64, same: impl Fn(f64) -> bool) -> f64 {
-    const MOST_DECIMALS: i32 = 15;
+    const MAX_DECIMALS: i32 = 15;
     let rounded = |decimals: i32| {
         let scale = 10_f64.powi(decimals);
         // + 0.0 turns −0 into 0.
         (exact * scale).round() / scale + 0.0
     };
-    (0..=MOST_DECIMALS).map(rounded).find(|&number| same(number)).unwrap_or(exact)
+    (0..=MAX_DECIMALS).map(rounded).find(|&number| same(number)).unwrap_or(exact)
 }
 
 /// Returns what a user writes for `stored`, of which `per_unit` are one of the user's unit.

@@ -43,7 +43,7 @@ const PARTS: usize = 4;
 const PART: usize = 4096;
 /// The most that a sound channel changes from row to row: a logger that is faster than its thermometers
 /// writes each reading down twice.
-const MOST_CHANGES: f64 = 0.5;
+const MAX_CHANGES: f64 = 0.5;
 /// Levels of the last digit that a channel must have been at: only then its noise was seen at all
 /// phases between two of them.
 const LEVELS: usize = 5;
@@ -262,7 +262,7 @@ impl Channel {
         let [longest, second, ..] = &runs[..] else { return None };
         let is_beside = longest.end == step + 1 || longest.start == step + 1;
         let is_long = longest.len() > 2 * second.len()
-            && longest.len() as f64 > self.longest_run(MOST_CHANGES);
+            && longest.len() as f64 > self.longest_run(MAX_CHANGES);
         (is_beside && is_long).then(|| self.frozen_in(longest))
     }
 
@@ -297,7 +297,7 @@ impl Channel {
         let mut runs = runs_of_equal(&self.values);
         let longest = runs.iter().map(Range::len).max().unwrap_or(0);
         // Most channels are done here.
-        if longest as f64 <= self.longest_run(MOST_CHANGES) {
+        if longest as f64 <= self.longest_run(MAX_CHANGES) {
             return Vec::new();
         }
         let hold = usual_hold(&runs);
@@ -323,7 +323,7 @@ impl Channel {
             .map(|part| flickering(&part[..part.len().min(PART)]))
             .fold(f64::INFINITY, f64::min);
         let digits_per_sigma = 0.8 / quietest;
-        let changes = erfc(digits_per_sigma / 2.0 / SQRT_2).min(MOST_CHANGES);
+        let changes = erfc(digits_per_sigma / 2.0 / SQRT_2).min(MAX_CHANGES);
         if changes == 0.0 {
             return Vec::new();
         }

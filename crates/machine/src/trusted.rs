@@ -18,7 +18,7 @@ use crate::{
 
 /// A column of which more than this share is fault values is left as it is: then it is no temperature at all,
 /// which the units of its values show.
-const MOST_FAULTS: f64 = 0.5;
+const MAX_FAULTS: f64 = 0.5;
 /// A step over more than this many of the usual rows is a pause.
 const PAUSE_ROWS: f64 = 2.0;
 /// Positions fall as often as they rise if the rarer of the two is at least this share of the other: a
@@ -58,7 +58,7 @@ pub fn without_fault_values(mut run: RunFile) -> (RunFile, Vec<Warning>) {
         .collect();
     for (name, rows) in found {
         let Some(values) = run.column(&name) else { continue };
-        if rows.is_empty() || rows.len() as f64 > MOST_FAULTS * values.len() as f64 {
+        if rows.is_empty() || rows.len() as f64 > MAX_FAULTS * values.len() as f64 {
             continue;
         }
         let mut cleaned = values.to_vec();

@@ -5,7 +5,7 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::{Applied, Factor, Unaided, applied, leaves_nothing},
+    applied::{Applied, Factor, Uncompensated, applied, leaves_nothing},
     file::Quantity,
 };
 use trueup_numerics::random::Generator;
@@ -110,10 +110,10 @@ fn machine(quantity: Quantity) -> Machine {
 
 fn found(records: &[RunFile], quantity: Quantity) -> Applied {
     let machine = machine(quantity);
-    let runs: Vec<Unaided<'_>> = records
+    let runs: Vec<Uncompensated<'_>> = records
         .iter()
         .map(|run| {
-            Unaided::of(Cow::Borrowed(run), Some(&machine), Some(quantity)).expect("right").0
+            Uncompensated::of(Cow::Borrowed(run), Some(&machine), Some(quantity)).expect("right").0
         })
         .collect();
     applied(&runs, Some(&machine), quantity)
@@ -199,7 +199,8 @@ fn what_is_left_while_engaged_says_whether_the_sum_is_right() {
         let case = Case { factor, gain, ..RIGHT };
         let machine = machine(Quantity::Dz);
         let records = records(case, &[Engaged::Always], Quantity::Dz, 8);
-        let run = Unaided::of(Cow::Borrowed(&records[0]), Some(&machine), None).expect("right").0;
+        let run =
+            Uncompensated::of(Cow::Borrowed(&records[0]), Some(&machine), None).expect("right").0;
         assert_eq!(leaves_nothing(&[run], Quantity::Dz), nothing, "{case:?}");
     }
 }
@@ -208,7 +209,7 @@ fn what_is_left_while_engaged_says_whether_the_sum_is_right() {
 fn a_factor_is_taken_out_of_what_was_measured() {
     let text = "measured_dx_um,offset_x_um,quality\n3,-4,1\n-1,0,0\n";
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
-    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("right");
+    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("right");
     assert_eq!(run.offset_um(Quantity::Dx), Some(&[-4.0, 0.0][..]));
     let run = run.with_factor(Quantity::Dx, -0.5);
     assert_eq!(run.column("measured_dx_um"), Some(&[1.0, -1.0][..]));

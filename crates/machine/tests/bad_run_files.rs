@@ -5,7 +5,7 @@ use std::{
     path::Path,
 };
 
-use trueup_machine::{BadInput, RunFile, location::MOST_LISTED, run_file::MOST_COLUMNS};
+use trueup_machine::{BadInput, RunFile, location::MAX_LISTED, run_file::MAX_COLUMNS};
 
 fn error_of(bytes: &[u8]) -> BadInput {
     match RunFile::from_reader(bytes, Path::new("bad.csv")) {
@@ -149,11 +149,11 @@ fn a_line_without_an_end_is_refused_where_it_begins() {
 
 #[test]
 fn a_column_too_many_is_refused_at_its_name() {
-    let most = header(MOST_COLUMNS) + &"1,".repeat(MOST_COLUMNS - 1) + "1\n";
+    let most = header(MAX_COLUMNS) + &"1,".repeat(MAX_COLUMNS - 1) + "1\n";
     let run = RunFile::from_reader(most.as_bytes(), Path::new("r.csv")).expect("as many as may be");
-    assert_eq!(run.columns().len(), MOST_COLUMNS);
-    let error = error_of(header(MOST_COLUMNS + 1).as_bytes()).to_string();
-    let column = header(MOST_COLUMNS).len() + 1;
+    assert_eq!(run.columns().len(), MAX_COLUMNS);
+    let error = error_of(header(MAX_COLUMNS + 1).as_bytes()).to_string();
+    let column = header(MAX_COLUMNS).len() + 1;
     assert_eq!(error, format!("bad.csv:1:{column}: more than 4096 columns"));
 }
 
@@ -193,7 +193,7 @@ fn all_that_is_wrong_with_a_file_is_told_at_once_in_its_order() {
 fn of_a_file_that_is_wrong_everywhere_twenty_faults_are_told_and_the_others_counted() {
     let text = "time_s;x_mm\n".to_string() + &"0;1,5\n".repeat(332);
     let (places, unlisted) = places_of(&text);
-    assert_eq!((places.len(), unlisted), (MOST_LISTED, 312));
+    assert_eq!((places.len(), unlisted), (MAX_LISTED, 312));
     assert_eq!((places[0], places[19]), ((2, 3), (21, 3)));
     // What stops the reading is among them.
     let cut = text + &"1".repeat(2 << 20);

@@ -3,7 +3,9 @@
 
 use std::{borrow::Cow, path::Path};
 
-use trueup_machine::{Machine, MachineFile, RunFile, applied::Unaided, compile, file::Quantity};
+use trueup_machine::{
+    Machine, MachineFile, RunFile, applied::Uncompensated, compile, file::Quantity,
+};
 
 const THREE_AXIS: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n";
 const HEAD: &str = "[machine]\nname = \"m\"\nkind = \"head-head\"\nhead_axes = [\"c\", \"a\"]\n";
@@ -20,21 +22,21 @@ fn run(text: &str) -> RunFile {
 fn taken_out(machine_text: &str, text: &str, column: &str) -> (Vec<Option<f64>>, Vec<String>) {
     let run = run(text);
     let (run, notes) =
-        Unaided::of(Cow::Borrowed(&run), Some(&machine(machine_text)), None).expect("right");
+        Uncompensated::of(Cow::Borrowed(&run), Some(&machine(machine_text)), None).expect("right");
     let values = run.column(column).expect("it is kept");
     (values.iter().map(|um| (!um.is_nan()).then_some(*um)).collect(), notes)
 }
 
 fn error(machine_text: &str, text: &str, quantity: Option<Quantity>) -> String {
     let run = run(text);
-    let taken_out = Unaided::of(Cow::Borrowed(&run), Some(&machine(machine_text)), quantity);
+    let taken_out = Uncompensated::of(Cow::Borrowed(&run), Some(&machine(machine_text)), quantity);
     taken_out.map(|_| ()).expect_err("refused").to_string()
 }
 
 #[test]
 fn a_run_without_a_bridge_comes_back_as_it_is() {
     let run = run("time_s,measured_dz_um,flow\n0,1.5,2\n");
-    let (same, notes) = Unaided::of(Cow::Borrowed(&run), None, None).expect("right");
+    let (same, notes) = Uncompensated::of(Cow::Borrowed(&run), None, None).expect("right");
     assert!(std::ptr::eq(&raw const *same, &raw const run) && notes.is_empty());
 }
 
@@ -74,7 +76,8 @@ fn rows_in_which_nobody_knows_what_was_applied_are_set_aside_and_counted() {
                 0,1,0,0,0,0,7,20\n1,2,-9,3,0,0,7,21\n2,3,-9,4,0,0,7,22\n3,4,-9,5,0,0,7,23\n\
                 4,5,,6,0,0,7,24\n5,6,-9,,0,0,7,25\n6,7,,1,0,0,7,26\n7,,-9,4,0,0,7,27\n";
     let run = run(text);
-    let (run, notes) = Unaided::of(Cow::Borrowed(&run), None, Some(Quantity::Dz)).expect("right");
+    let (run, notes) =
+        Uncompensated::of(Cow::Borrowed(&run), None, Some(Quantity::Dz)).expect("right");
     let names: Vec<_> = run.columns().iter().map(|column| column.name.as_str()).collect();
     assert_eq!(names, ["time_s", "measured_dz_um", "temp_a_c"]);
     let dz = run.column("measured_dz_um").expect("kept");
@@ -119,7 +122,7 @@ fn a_bridge_without_an_offset_for_longer_than_a_cnc_takes_to_go_to_0_was_without
     let never: String = (0..40).map(|s| format!("{s},5,6\n")).collect();
     let never = format!("time_s,measured_dz_um,quality\n{never}");
     let run = run(&never);
-    let refused = Unaided::of(Cow::Borrowed(&run), Some(&machine(THREE_AXIS)), None);
+    let refused = Uncompensated::of(Cow::Borrowed(&run), Some(&machine(THREE_AXIS)), None);
     assert!(refused.is_err(), "its first rows are not known");
 }
 

@@ -58,7 +58,7 @@ const fn half_characters(count: u32, baud: u32) -> u32 {
 
 /// A byte as it came.
 #[derive(Clone, Copy, Debug)]
-pub struct Heard {
+pub struct RxByte {
     /// When, in microseconds; may wrap.
     pub at_us: u32,
     /// `None`: its parity or its stop bit was wrong, or one was lost.
@@ -83,7 +83,7 @@ impl Slave {
     }
 
     /// Takes what has come.
-    pub fn hear(&mut self, heard: Heard) {
+    pub fn push(&mut self, heard: RxByte) {
         match heard.byte {
             Some(byte) => self.receive(heard.at_us, byte),
             None => self.receive_damaged(heard.at_us),
@@ -142,7 +142,7 @@ mod tests {
     const CHARACTER_US: u32 = 96;
 
     /// Bytes one behind the other from this time on; when the last came.
-    fn hear(slave: &mut Slave, mut now: u32, bytes: &[u8]) -> u32 {
+    fn push(slave: &mut Slave, mut now: u32, bytes: &[u8]) -> u32 {
         for byte in bytes {
             now = now.wrapping_add(CHARACTER_US);
             slave.receive(now, *byte);
@@ -160,7 +160,7 @@ mod tests {
         for start in [0, u32::MAX - 1_000] {
             let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
             let mut response = Response::new();
-            let end = hear(&mut slave, start, &block());
+            let end = push(&mut slave, start, &block());
             for early in [0, 100, 1_749] {
                 assert!(!slave.poll(end.wrapping_add(early), &mut bridge, &mut response));
             }
@@ -176,15 +176,15 @@ mod tests {
         let (mut slave, mut bridge) = (Slave::new(9, TIMING), Mock::new());
         let mut response = Response::new();
         let frame = block();
-        let middle = hear(&mut slave, 0, &frame[..20]);
-        let end = hear(&mut slave, middle + 800, &frame[20..]);
+        let middle = push(&mut slave, 0, &frame[..20]);
+        let end = push(&mut slave, middle + 800, &frame[20..]);
         assert!(!slave.poll(end + 2_000, &mut bridge, &mut response));
         assert!(bridge.taken.is_empty());
-        let end = hear(&mut slave, end + 3_000, &frame);
+        let end = push(&mut slave, end + 3_000, &frame);
         assert!(slave.poll(end + 2_000, &mut bridge, &mut response));
         // One that nobody has asked for in time is over when the next begins.
-        let end = hear(&mut slave, end + 10_000, &frame);
-        let end = hear(&mut slave, end + 5_000, &frame);
+        let end = push(&mut slave, end + 10_000, &frame);
+        let end = push(&mut slave, end + 5_000, &frame);
         assert!(slave.poll(end + 2_000, &mut bridge, &mut response));
         assert_eq!(bridge.taken.len(), 2);
     }
@@ -202,16 +202,16 @@ mod tests {
                     random.to_be_bytes()[0]
                 })
                 .collect();
-            now = hear(&mut slave, now, &noise) + 2_000;
+            now = push(&mut slave, now, &noise) + 2_000;
             assert!(!slave.poll(now, &mut bridge, &mut response), "{length}");
         }
         let frame = block();
-        now = hear(&mut slave, now, &frame[..10]);
+        now = push(&mut slave, now, &frame[..10]);
         slave.receive_damaged(now + CHARACTER_US);
-        now = hear(&mut slave, now + CHARACTER_US, &frame[11..]) + 2_000;
+        now = push(&mut slave, now + CHARACTER_US, &frame[11..]) + 2_000;
         assert!(!slave.poll(now, &mut bridge, &mut response));
         assert!(bridge.taken.is_empty());
-        now = hear(&mut slave, now, &frame) + 2_000;
+        now = push(&mut slave, now, &frame) + 2_000;
         assert!(slave.poll(now, &mut bridge, &mut response));
     }
 }

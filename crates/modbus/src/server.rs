@@ -48,8 +48,8 @@ const READ_HOLDING: u8 = 3;
 const READ_INPUT: u8 = 4;
 const WRITE_HOLDING: u8 = 16;
 /// The most registers that one request reads, or writes.
-const MOST_READ: u16 = 125;
-const MOST_WRITTEN: u16 = 123;
+const MAX_READ: u16 = 125;
+const MAX_WRITTEN: u16 = 123;
 
 /// Without a table, which would be half a kilobyte of a board's flash.
 static CHECKSUM: Crc<u16, NoTable> = Crc::<u16, NoTable>::new(&CRC_16_MODBUS);
@@ -152,11 +152,11 @@ fn admitted(pdu: &[u8]) -> Result<(), Exception> {
     match *pdu {
         [READ_HOLDING | READ_INPUT, _, _, high, low] => {
             let count = u16::from_be_bytes([high, low]);
-            if (1..=MOST_READ).contains(&count) { Ok(()) } else { Err(Exception::Value) }
+            if (1..=MAX_READ).contains(&count) { Ok(()) } else { Err(Exception::Value) }
         }
         [WRITE_HOLDING, _, _, high, low, bytes, ref data @ ..] => {
             let count = u16::from_be_bytes([high, low]);
-            let is_right = (1..=MOST_WRITTEN).contains(&count)
+            let is_right = (1..=MAX_WRITTEN).contains(&count)
                 && u16::from(bytes) == count.saturating_mul(2)
                 && data.len() == usize::from(bytes);
             if is_right { Ok(()) } else { Err(Exception::Value) }

@@ -34,7 +34,7 @@ use trueup_link::{
 use trueup_store::{
     calibration::identity,
     load::{Load, Outcome, Slot},
-    writes::What,
+    writes::WriteKind,
 };
 
 use crate::{shown::ShownValues, start::Start};
@@ -55,7 +55,7 @@ mod switch;
 mod writes;
 
 use firmware::Firmware;
-pub use master::Line;
+pub use master::Interface;
 use master::Master;
 use registers::Registers;
 use standing::Offer;
@@ -191,7 +191,7 @@ impl<'a> Node<'a> {
             supply: Supply::default(),
             switch: ServiceSwitch::default(),
         };
-        node.bar();
+        node.inhibit();
         node
     }
 
@@ -213,12 +213,12 @@ impl<'a> Node<'a> {
     }
 
     /// Notes what is wrong with the board.
-    pub fn note(&mut self, fault: Fault) {
+    pub fn set_fault(&mut self, fault: Fault) {
         self.board_faults = self.board_faults.with_if(true, fault);
     }
 
     /// Notes whether this is wrong with the board now: for what may go again.
-    pub fn note_if(&mut self, is_there: bool, fault: Fault) {
+    pub fn set_fault_if(&mut self, is_there: bool, fault: Fault) {
         self.board_faults = self.board_faults.without(fault).with_if(is_there, fault);
     }
 
@@ -265,12 +265,12 @@ impl<'a> Node<'a> {
     /// effect.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn hear(&mut self, line: Line, frame: &Frame) -> Result<Option<Command>, Refused> {
+    pub fn receive(&mut self, line: Interface, frame: &Frame) -> Result<Option<Command>, Refused> {
         if frame.id() == SDO_REQUEST_ID {
             self.log.speaks(line);
             // Taken out, because what it reads and writes is the rest of this node.
             let mut server = self.server;
-            self.answer = server.hear(frame, self).or(self.answer);
+            self.answer = server.receive(frame, self).or(self.answer);
             self.server = server;
             return Ok(None);
         }
@@ -278,10 +278,10 @@ impl<'a> Node<'a> {
             self.network_command(frame);
             return Ok(None);
         }
-        self.consumer.hear(frame);
+        self.consumer.receive(frame);
         if Receiver::is_from_cnc(frame.id()) && !self.master.admits(line) {
             if e2e::is_whole(frame) {
-                self.master.hear_other();
+                self.master.receive_other();
             }
             return Ok(None);
         }
@@ -294,28 +294,28 @@ impl<'a> Node<'a> {
         }
         let command = heard?;
         match (command, &self.bridge) {
-            (Some(Command::Control(control)), _) => self.hear_control(line, control),
-            (Some(command), Some(bridge)) => bridge.hear(&mut self.state, command),
+            (Some(Command::Control(control)), _) => self.receive_control(line, control),
+            (Some(command), Some(bridge)) => bridge.receive(&mut self.state, command),
             _ => {}
         }
         Ok(command)
     }
 
-    fn hear_control(&mut self, line: Line, control: Control) {
+    fn receive_control(&mut self, line: Interface, control: Control) {
         let Some(heard) = self.master.take(line, control) else { return };
         if heard.confirm {
             self.confirm(line);
         }
-        self.bar();
-        self.hear_learned(heard.control.learned);
+        self.inhibit();
+        self.receive_learned(heard.control.learned);
         let Some(bridge) = &self.bridge else { return };
         let before = self.state.reference();
-        bridge.hear(&mut self.state, Command::Control(heard.control));
+        bridge.receive(&mut self.state, Command::Control(heard.control));
         let now = self.state.reference();
         let zeroed = self.state.take_zeroed();
         if now != before || zeroed && self.offer.is_open() {
             self.zero = Some(Zero::Taken(now));
-            self.end_offer(now, What::Zeroed, Some(line));
+            self.end_offer(now, WriteKind::Zeroed, Some(line));
         } else if heard.zero && self.zero.is_none() {
             self.zero = Some(Zero::Unchanged);
             self.zero_refused = true;
@@ -374,7 +374,7 @@ impl<'a> Node<'a> {
         let seen = self.faults(&Output { flags, ..output });
         self.zero_refused = false;
         let now = self.faults(&output);
-        self.emergencies.note(elapsed_ms, seen);
+        self.emergencies.update(elapsed_ms, seen);
         // Taken out, because what it asks for room is the rest of this node.
         let mut server = self.server;
         self.answer = server.proceed(self).or_else(|| server.tick(elapsed_ms)).or(self.answer);

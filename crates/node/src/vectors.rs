@@ -24,7 +24,7 @@ use trueup_link::{
     frames::{self, CONDITIONS_PERIOD_MS, CONTROL_PERIOD_MS, POSITION_PERIOD_MS, ROTARY_PERIOD_MS},
 };
 
-use crate::node::{Frames, Line, Node};
+use crate::node::{Frames, Interface, Node};
 
 /// Where X, Y and Z go, from 0, in positions: a large gantry, and a little beyond its tables.
 const REACH: [u32; 3] = [1_435_000_000, 301_000_000, 251_000_000];
@@ -143,7 +143,7 @@ impl<'a> Vectors<'a> {
             terms.any(|term| matches!(term.effect, Effect::Tool(_) | Effect::Condition(_)));
         for frame in frames::released() {
             // In order: none is refused.
-            node.hear(Line::Can, &frame).ok();
+            node.receive(Interface::Can, &frame).ok();
         }
         Self {
             node,
@@ -199,10 +199,10 @@ impl<'a> Vectors<'a> {
 
     /// The node receives the frames of the vector that was prepared.
     #[inline]
-    pub fn hear(&mut self) {
+    pub fn receive(&mut self) {
         for frame in &self.sent {
             // A refusal is one of the things that are compared.
-            self.node.hear(Line::Can, frame).ok();
+            self.node.receive(Interface::Can, frame).ok();
         }
     }
 
@@ -301,7 +301,7 @@ pub fn checksum(calibration: Calibration<'_>, vectors: u32) -> u64 {
     let mut run = Vectors::new(calibration, 0x7275_6574, true);
     for _ in 0..vectors {
         run.prepare();
-        run.hear();
+        run.receive();
         let frames = run.tick();
         run.take(&frames);
     }

@@ -22,7 +22,7 @@ use trueup_link::{
     status::{self, Item, Reason, Status},
 };
 use trueup_node::{
-    node::{Line, Node},
+    node::{Interface, Node},
     vectors::Random,
 };
 
@@ -148,7 +148,7 @@ struct Damage<'a> {
 
 impl Damage<'_> {
     /// The board receives these bytes in place of the line.
-    fn hear(&mut self, bytes: &[u8]) {
+    fn receive(&mut self, bytes: &[u8]) {
         self.outcome.forms += 1;
         frames_in(bytes, |frame| {
             let is_heard = self.ears.clone().accept(&frame);
@@ -159,7 +159,7 @@ impl Damage<'_> {
             } else if !Ears::know(frame.id()) {
                 // SDO, network management, heartbeats: the node must not change by it.
                 self.outcome.elsewhere += 1;
-                let _ = self.node.hear(Line::Serial, &frame);
+                let _ = self.node.receive(Interface::Serial, &frame);
             }
         });
     }
@@ -201,7 +201,7 @@ fn flipped(numbers: impl Iterator<Item = usize>) -> Outcome {
         let original = all[number];
         let ears = Ears::after(&all[..number]);
         let mut damage = Damage { original, ears, node: &mut node, outcome: Outcome::default() };
-        flip_all(&original, |bytes| damage.hear(bytes));
+        flip_all(&original, |bytes| damage.receive(bytes));
         let outcome = damage.outcome;
         assert_eq!(settings(&node), before, "line {number}");
         total.forms += outcome.forms;

@@ -21,7 +21,7 @@ use trueup_link::{
     layout::CONTROL_ID,
     status::{self, Item},
 };
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::{calibration::identity, reference::Standing};
 
 fn node() -> Node<'static> {
@@ -106,10 +106,10 @@ fn blocks_are_counted_and_a_tick_without_one_is_not() {
 fn the_level_that_readings_count_from_is_the_stored_one_or_that_of_the_first_seconds() {
     let mut node = node();
     assert_eq!(node.supply_basis(), Level(0), "not known yet");
-    (0..200).for_each(|_| node.hear_supply(Code(1_500)));
+    (0..200).for_each(|_| node.receive_supply(Code(1_500)));
     assert_eq!(node.supply_basis(), Level(1_500 * 16));
     node.set_supply_basis(Level(24_321));
-    (0..200).for_each(|_| node.hear_supply(Code(1_500)));
+    (0..200).for_each(|_| node.receive_supply(Code(1_500)));
     assert_eq!(node.supply_basis(), Level(24_321));
 }
 
@@ -118,7 +118,7 @@ fn a_time_that_was_told_goes_on_and_one_of_0_is_none() {
     let mut node = node();
     let control = Control { service: true, ..Control::REFERENCED };
     for counter in 0..5 {
-        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
         run(&mut node, 20);
         node.service();
     }
@@ -169,7 +169,7 @@ fn every_kind_of_frame_that_was_received_has_a_count_of_its_own() {
     // Two lost before the second; three damaged, two repeated, four too short.
     let sent = [frame(0), frame(3), damaged, damaged, damaged, frame(3), frame(3), short, short];
     for frame in sent.into_iter().chain([short, short]) {
-        node.hear(Line::Can, &frame).ok();
+        node.receive(Interface::Can, &frame).ok();
     }
     let counted = [
         (Counter::Accepted, 2),

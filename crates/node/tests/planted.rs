@@ -32,7 +32,11 @@ const PLANTED: [(&str, &str, &str); 20] = [
     ),
     ("core/src/bridge.rs", ".rounded().negated());", ".rounded());"),
     ("core/src/bridge.rs", "state.believable = clean.is_some();", "state.believable = true;"),
-    ("core/src/bridge/state.rs", "self.barred = barred;", "self.barred = barred & false;"),
+    (
+        "core/src/bridge/state.rs",
+        "self.inhibited = inhibited;",
+        "self.inhibited = inhibited & false;",
+    ),
     ("core/src/bridge/state.rs", "        self.starved_age = Age::NEW;\n", ""),
     (
         "core/src/bridge/state.rs",

@@ -6,20 +6,20 @@ use trueup_canopen::sdo::{
 };
 use trueup_core::{bridge::Input, cnc::Control};
 use trueup_link::{frame::Frame, frames};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::{calibration::MAX_SIZE, load::Outcome};
 
 fn node() -> Node<'static> {
     let mut node = Node::new(None, false);
     node.set_buffer(Box::leak(vec![0; MAX_SIZE].into()));
     let control = Control { service: true, ..Control::REFERENCED };
-    node.hear(Line::Serial, &frames::control(control, 0)).expect("the first");
+    node.receive(Interface::Serial, &frames::control(control, 0)).expect("the first");
     node
 }
 
 /// Returns what the node says to a request, offsets and heartbeats among it; and what a board does.
 fn said(node: &mut Node<'_>, request: Frame) -> Vec<Frame> {
-    node.hear(Line::Can, &request).expect("an SDO");
+    node.receive(Interface::Can, &request).expect("an SDO");
     if let Some(load) = node.take_load() {
         node.end_load(load, Outcome::Stored);
     }
@@ -37,7 +37,7 @@ fn upload(node: &mut Node<'_>, at: At) -> Result<Vec<u8>, ClientError> {
     for _ in 0..5_000 {
         let mut asked = None;
         for frame in said(node, next) {
-            match upload.hear(&frame, &mut bytes)? {
+            match upload.receive(&frame, &mut bytes)? {
                 Progress::Unchanged => {}
                 Progress::Ask(request) => asked = Some(request),
                 Progress::Done => return Ok(bytes),
@@ -53,7 +53,7 @@ fn download(node: &mut Node<'_>, at: At, data: &[u8]) -> Result<(), ClientError>
     for _ in 0..5_000 {
         let mut asked = None;
         for frame in said(node, next) {
-            match download.hear(&frame)? {
+            match download.receive(&frame)? {
                 Progress::Unchanged => {}
                 Progress::Ask(request) => asked = Some(request),
                 Progress::Done => return Ok(()),

@@ -34,7 +34,7 @@ fn lengths(faults: bool) -> ([u32; 4], Reference) {
     let mut lengths = [0; 4];
     for ms in 0..ALL_FAULTS {
         run.prepare();
-        run.hear();
+        run.receive();
         let frames = run.tick();
         run.take(&frames);
         let seen = seen(&run).map(|it| u32::from(it && ms >= BEGUN));

@@ -6,11 +6,11 @@ use crate::random::Generator;
 /// Draws for an interval.
 const DRAWS: usize = 400;
 /// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
-const FEWEST: usize = 8;
+const MIN: usize = 8;
 /// Parts of a record: what is gained in one of them alone was seen once.
 const PARTS: usize = 6;
 /// Most blocks that a record is cut into.
-pub const MOST: usize = 40;
+pub const MAX: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
 const CORRELATION_TIMES: f64 = 5.0;
 /// Standard errors by which one of two foresees better: the rule of one (Breiman 1984).
@@ -85,7 +85,7 @@ impl Blocks {
     #[must_use]
     pub fn new(rows: usize, memory: f64) -> Self {
         let least = (CORRELATION_TIMES * memory).max(1.0);
-        let count = ((rows as f64 / least) as usize).clamp(FEWEST, MOST).min(rows);
+        let count = ((rows as f64 / least) as usize).clamp(MIN, MAX).min(rows);
         Self { of_row: stretches(rows, count), count }
     }
 

@@ -14,11 +14,11 @@
 //! residuals as independent; where they are correlated, as those of warm machines are, the true
 //! intervals are wider.
 
+pub mod givens_qr;
 pub mod nonlinear;
 pub mod normal;
 pub mod separable;
-pub mod triangle;
 
+pub use givens_qr::{Dependent, GivensQr, Solution};
 pub use nonlinear::{Fit, Model, Options, SolveError, fit};
 pub use separable::{Separable, fit_separable};
-pub use triangle::{Dependent, Solution, Triangle};

@@ -16,7 +16,7 @@ use statrs::{
 };
 
 /// No test needs more than that; beyond it the sum would only be longer.
-const MOST: f64 = 2e5;
+const MAX: f64 = 2e5;
 /// Weights of the sum below this are left out.
 const NO_WEIGHT: f64 = 1e-17;
 
@@ -38,7 +38,7 @@ pub fn power(significance: f64, constants: f64, freedom: f64, noncentrality: f64
     let limit = central.inverse_cdf(1.0 - significance);
     // Of a small part of a degree of freedom the limit is beyond all numbers, and x is 1.
     let x = 1.0 / (1.0 + freedom / (constants * limit));
-    let half = 0.5 * noncentrality.min(MOST);
+    let half = 0.5 * noncentrality.min(MAX);
     let weight = |j: f64| (j * half.ln() - half - ln_gamma(j + 1.0)).exp();
     let missed = |j: f64| beta_reg(0.5 * constants + j, 0.5 * freedom, x);
     let largest = half.floor();
@@ -63,7 +63,7 @@ pub fn noncentrality(wanted: f64, significance: f64, constants: f64, freedom: f6
     let (mut low, mut high) = (0.0, 1.0);
     while !finds(high) {
         (low, high) = (high, 2.0 * high);
-        if high > MOST {
+        if high > MAX {
             return f64::INFINITY;
         }
     }

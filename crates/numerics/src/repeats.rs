@@ -25,7 +25,7 @@ mod table;
 mod tests;
 
 pub use between::{Between, between};
-pub use decide::{Decision, FEWEST_PLACES, Refusal, SIGNIFICANCE, Trial, decide, is_worse};
+pub use decide::{Decision, MIN_PLACES, Refusal, SIGNIFICANCE, Trial, decide, is_worse};
 pub use grid::largest_variance;
 pub use gross::gross;
 pub use power::cycles_for;

@@ -7,7 +7,7 @@
 
 use std::{fs, path::Path};
 
-use trueup_numerics::least_squares::{Model, Options, Triangle, fit, normal};
+use trueup_numerics::least_squares::{GivensQr, Model, Options, fit, normal};
 
 /// A certified set.
 struct Set {
@@ -140,7 +140,7 @@ fn by_normal(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
 }
 
 fn by_triangle(columns: &[Vec<f64>], residual: &[f64]) -> Vec<f64> {
-    let mut triangle = Triangle::new(columns.len());
+    let mut triangle = GivensQr::new(columns.len());
     for (row, &residual) in residual.iter().enumerate() {
         let x: Vec<f64> = columns.iter().map(|column| column[row]).collect();
         triangle.add(&x, residual);

@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use trueup_numerics::{
-    least_squares::{Triangle, normal},
+    least_squares::{GivensQr, normal},
     random::Generator,
 };
 
@@ -22,7 +22,7 @@ fn timed<R>(mut of: impl FnMut() -> R) -> (Duration, R) {
 }
 
 fn by_triangle(columns: &[Vec<f64>], y: &[f64]) -> Vec<f64> {
-    let mut triangle = Triangle::new(columns.len());
+    let mut triangle = GivensQr::new(columns.len());
     let mut x = vec![0.0; columns.len()];
     for (row, &y) in y.iter().enumerate() {
         x.iter_mut().zip(columns).for_each(|(x, column)| *x = column[row]);

@@ -86,7 +86,7 @@ impl Travel {
         even(low, high, step_mm).ok_or_else(|| {
             Refused(format!(
                 "--step-mm {step_mm} does not fit: {} may be sent from {low} to {high} mm, which gives \
-                 2 to {MOST_TARGETS} targets",
+                 2 to {MAX_TARGETS} targets",
                 self.axis.name()
             ))
         })
@@ -101,13 +101,13 @@ impl Travel {
 }
 
 /// The most targets of a run: what `fit pitch` takes for single targets.
-const MOST_TARGETS: usize = 2048;
+const MAX_TARGETS: usize = 2048;
 
 /// From `low` to `high` in steps of at most `step`; `None` where there are too many or no two.
 pub(crate) fn even(low: f64, high: f64, step: f64) -> Option<Vec<f64>> {
     // A step that fits but for rounding is no longer one.
     let steps = ((high - low) / step - 1e-9).ceil().max(1.0);
-    if !(high > low && steps < MOST_TARGETS as f64) {
+    if !(high > low && steps < MAX_TARGETS as f64) {
         return None;
     }
     let count = steps as usize;

@@ -60,13 +60,13 @@ pub struct Indicator {
 }
 
 /// A reading in µm, or why there is none.
-pub type Heard = Result<f64, String>;
+pub type IndicatorReading = Result<f64, String>;
 
 impl Indicator {
     /// Listens until the receiver is dropped.
     #[must_use]
-    pub fn listen(self) -> Receiver<Heard> {
-        let (sender, heard) = mpsc::channel();
+    pub fn listen(self) -> Receiver<IndicatorReading> {
+        let (sender, received) = mpsc::channel();
         thread::spawn(move || {
             loop {
                 let why = match self.open() {
@@ -82,7 +82,7 @@ impl Indicator {
                 thread::sleep(PAUSE);
             }
         });
-        heard
+        received
     }
 
     fn open(&self) -> io::Result<Box<dyn Read + Send>> {
@@ -97,7 +97,11 @@ impl Indicator {
     }
 
     /// Reads until the line ends, and says why; `None`: the receiver is gone.
-    fn read(&self, line: Box<dyn Read + Send>, sender: &Sender<Heard>) -> Option<String> {
+    fn read(
+        &self,
+        line: Box<dyn Read + Send>,
+        sender: &Sender<IndicatorReading>,
+    ) -> Option<String> {
         let mut reader = BufReader::new(line);
         let mut bytes = Vec::new();
         loop {
@@ -106,8 +110,8 @@ impl Indicator {
                 Ok(0) => return Some("it has closed the line".into()),
                 Ok(_) => {
                     let text = String::from_utf8_lossy(&bytes);
-                    if let Some(heard) = reading(&text, self.unit)
-                        && sender.send(heard).is_err()
+                    if let Some(received) = reading(&text, self.unit)
+                        && sender.send(received).is_err()
                     {
                         return None;
                     }
@@ -119,7 +123,7 @@ impl Indicator {
 }
 
 /// A reading has a few digits.
-const MOST_BYTES: usize = 4_096;
+const MAX_BYTES: usize = 4_096;
 
 /// Reads a line, which CR or LF ends. Returns how many bytes were taken.
 fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<usize> {
@@ -129,7 +133,7 @@ fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<us
         if buffer.is_empty() {
             return Ok(taken);
         }
-        if line.len() > MOST_BYTES {
+        if line.len() > MAX_BYTES {
             return Err(io::Error::other(
                 "it sends no end of a line; is this the gauge, at this speed?",
             ));
@@ -148,7 +152,7 @@ fn until_end(reader: &mut impl io::BufRead, line: &mut Vec<u8>) -> io::Result<us
 
 /// Returns what a line says, in µm; `None`: it is empty.
 #[must_use]
-pub fn reading(line: &str, unit: Unit) -> Option<Heard> {
+pub fn reading(line: &str, unit: Unit) -> Option<IndicatorReading> {
     if line.len() >= LONGEST {
         return Some(Err(format!("a line of {LONGEST} characters and more is not a reading")));
     }
@@ -200,8 +204,8 @@ mod tests {
             ("-0.004 mm", Unit::Inch, -4.0),
             ("12.5 µm", Unit::Millimetre, 12.5),
         ] {
-            let heard = reading(line, unit).expect(line).expect(line);
-            assert!((heard - um).abs() < 1e-9, "{line}: {heard}");
+            let received = reading(line, unit).expect(line).expect(line);
+            assert!((received - um).abs() < 1e-9, "{line}: {received}");
         }
         assert_eq!(reading(" \r", Unit::Millimetre), None);
     }
@@ -209,8 +213,8 @@ mod tests {
     #[test]
     fn what_is_no_reading_is_refused_and_told() {
         for line in ["0,012", "err", "1.2.3", "A12", "01A", "12 bar", "--1", "911A"] {
-            let heard = reading(line, Unit::Millimetre).expect(line);
-            assert!(heard.as_ref().is_err_and(|why| why.contains(line)), "{line}: {heard:?}");
+            let received = reading(line, Unit::Millimetre).expect(line);
+            assert!(received.as_ref().is_err_and(|why| why.contains(line)), "{line}: {received:?}");
         }
     }
 
@@ -218,13 +222,13 @@ mod tests {
     fn it_listens_line_by_line_and_says_when_the_line_is_gone() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let port = format!("tcp:{}", listener.local_addr().expect("bound"));
-        let heard = Indicator { port, baud: 9_600, unit: Unit::Millimetre }.listen();
+        let received = Indicator { port, baud: 9_600, unit: Unit::Millimetre }.listen();
         let (mut gauge, _) = listener.accept().expect("it connects");
         gauge.write_all(b"0.001\r\n01A+0.0025\r").expect("open");
         gauge.write_all(&[b'9'; 500]).expect("open");
         gauge.write_all(b"\n").expect("open");
         drop((gauge, listener));
-        let next = || heard.recv_timeout(Duration::from_secs(5)).expect("something");
+        let next = || received.recv_timeout(Duration::from_secs(5)).expect("something");
         assert_eq!((next(), next()), (Ok(1.0), Ok(2.5)));
         assert!(next().is_err_and(|why| why.contains("80 characters")));
         assert!(next().is_err_and(|why| why.contains("closed the line")));

@@ -261,8 +261,8 @@ mod tests {
         };
         let unknown = sum(&mut laws, &cnc);
         assert!(unknown[0].is_nan() && unknown[2].is_nan(), "{unknown:?}");
-        cnc.hear(&frames::spindle(Spindle { speed: Rpm(20_000), load_n: 0 }, 0), 1_000);
-        cnc.hear(&frames::conditions(Conditions { tool: 7, bits: 1 << 9 }, 0), 1_000);
+        cnc.receive(&frames::spindle(Spindle { speed: Rpm(20_000), load_n: 0 }, 0), 1_000);
+        cnc.receive(&frames::conditions(Conditions { tool: 7, bits: 1 << 9 }, 0), 1_000);
         assert_eq!(names(&laws, &cnc), [("tool".into(), 7.0), ("coolant_on".into(), 1.0)]);
         assert_eq!(sum(&mut laws, &cnc), [-3.0, 0.0, 8.0]);
     }

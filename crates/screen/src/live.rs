@@ -19,7 +19,7 @@ use trueup_client::{
     holder::holder,
     line::{Line, LineEvent},
     object,
-    poll::{Heard, Poll},
+    poll::{Poll, PollOutcome},
     port::Port,
     record::Recorder,
 };
@@ -139,12 +139,12 @@ impl Live {
         mut terminal: DefaultTerminal,
         theme: Theme,
         line: &Line,
-        indicator: Option<&std::sync::mpsc::Receiver<crate::indicator::Heard>>,
+        indicator: Option<&std::sync::mpsc::Receiver<crate::indicator::IndicatorReading>>,
     ) -> Result<()> {
         let (mut sampled, mut drawn) = (None::<Instant>, None::<Instant>);
         loop {
-            for heard in line.heard() {
-                self.hear(heard, line)?;
+            for heard in line.received() {
+                self.receive(heard, line)?;
             }
             for heard in indicator.iter().flat_map(|it| it.try_iter()) {
                 let action = self.state.gauged(heard, self.now_s());
@@ -180,8 +180,8 @@ impl Live {
     /// Takes what comes for so long, without a terminal.
     fn watch(&mut self, line: &Line, length: Duration) -> Result<()> {
         while self.start.elapsed() < length {
-            for heard in line.heard() {
-                self.hear(heard, line)?;
+            for heard in line.received() {
+                self.receive(heard, line)?;
             }
             self.state.sample(self.now_s());
             self.ask(line, Instant::now());
@@ -194,7 +194,7 @@ impl Live {
         self.start.elapsed().as_secs_f64()
     }
 
-    fn hear(&mut self, heard: LineEvent, line: &Line) -> Result<()> {
+    fn receive(&mut self, heard: LineEvent, line: &Line) -> Result<()> {
         match heard {
             LineEvent::Up => self.state.link = Link::Up,
             LineEvent::Down(why) => {
@@ -206,7 +206,7 @@ impl Live {
             LineEvent::Received(Event::Malformed(_)) => self.state.malformed_lines += 1,
             LineEvent::Late => {
                 self.state.left_out += 1;
-                self.state.say("the line has stalled: what is old is left out");
+                self.state.show_message("the line has stalled: what is old is left out");
             }
             LineEvent::Received(_) => {}
         }
@@ -215,14 +215,14 @@ impl Live {
 
     fn frame(&mut self, frame: &Frame, line: &Line) -> Result<()> {
         let now = Instant::now();
-        self.state.hear(frame, self.now_s());
+        self.state.receive(frame, self.now_s());
         if let Some(recorder) = &mut self.recorder {
             recorder.runs(self.state.board.calibration);
-            recorder.hear(frame, SystemTime::now())?;
+            recorder.receive(frame, SystemTime::now())?;
             self.state.recorded(recorder.readings(), recorder.rows());
         }
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
-            self.state.say("the bridge has started anew");
+            self.state.show_message("the bridge has started anew");
         }
         // What the bridge runs on is known now.
         let is_asked = self.options.is_strict && self.options.record.is_some();
@@ -233,11 +233,11 @@ impl Live {
         if let Some((_, poll)) = &mut self.calibration
             && poll.is_running()
         {
-            match poll.hear(frame, now) {
-                Heard::Ask(request) => line.send(request),
-                Heard::Bytes(blob) => self.learn(&blob),
-                Heard::Refused => self.state.source = Source::None,
-                Heard::Nothing => {}
+            match poll.receive(frame, now) {
+                PollOutcome::Ask(request) => line.send(request),
+                PollOutcome::Bytes(blob) => self.learn(&blob),
+                PollOutcome::Refused => self.state.source = Source::None,
+                PollOutcome::Nothing => {}
             }
             if let Some((_, poll)) = &self.calibration
                 && let Some((bytes, of)) = poll.progress()
@@ -248,23 +248,23 @@ impl Live {
             return Ok(());
         }
         if self.commit.is_running() {
-            if let Heard::Bytes(answer) = self.commit.hear(frame, now) {
+            if let PollOutcome::Bytes(answer) = self.commit.receive(frame, now) {
                 let bridge = self.options.tool.with_commit(&answer);
                 if let Some(difference) = self.options.tool.difference(&bridge) {
-                    self.state.say(difference);
+                    self.state.show_message(difference);
                 }
             }
             return Ok(());
         }
-        match self.growth.hear(frame, now) {
-            Heard::Ask(request) => line.send(request),
-            Heard::Bytes(bytes) => {
+        match self.growth.receive(frame, now) {
+            PollOutcome::Ask(request) => line.send(request),
+            PollOutcome::Bytes(bytes) => {
                 let thousandths = bytes.first_chunk().copied().map(i32::from_le_bytes);
                 let thousandths = thousandths.filter(|it| *it != object::NOT_AVAILABLE);
                 let growth_um = thousandths.map(|it| f64::from(it) / 1_000.0);
                 self.state.answered(growth_um, self.now_s());
             }
-            Heard::Refused | Heard::Nothing => {}
+            PollOutcome::Refused | PollOutcome::Nothing => {}
         }
         Ok(())
     }
@@ -307,14 +307,14 @@ impl Live {
             Some(Action::Quit) => return Ok(true),
             Some(Action::Record) => {
                 if let Err(error) = self.record() {
-                    self.state.say(format!("{error:#}"));
+                    self.state.show_message(format!("{error:#}"));
                 }
             }
             Some(Action::EndRecording) => {
                 self.state.recording = None;
                 if let Some(mut recorder) = self.recorder.take() {
                     recorder.flush()?;
-                    self.state.say(recorder.summary());
+                    self.state.show_message(recorder.summary());
                 }
             }
             Some(Action::Mark(um)) => {
@@ -322,7 +322,7 @@ impl Live {
                     recorder.mark(um);
                     self.state.recorded(recorder.readings(), recorder.rows());
                     self.state.mark(um);
-                    self.state.say(format!("{um:+.2} µm written down; u takes it back"));
+                    self.state.show_message(format!("{um:+.2} µm written down; u takes it back"));
                 }
             }
             Some(Action::Unmark) => {
@@ -331,7 +331,7 @@ impl Live {
                 {
                     self.state.recorded(recorder.readings(), recorder.rows());
                     self.state.unmark();
-                    self.state.say(format!("{um:+.2} µm taken out again"));
+                    self.state.show_message(format!("{um:+.2} µm taken out again"));
                 }
             }
         }

@@ -100,7 +100,7 @@ pub struct Gauge {
 
 /// When the items of the status came last, in s since the screen began.
 #[derive(Clone, Copy, Debug, Default)]
-struct Told {
+struct ReceivedAt {
     growth: Option<f64>,
     temperatures: [Option<f64>; CHANNELS / 2],
     state: Option<f64>,
@@ -146,7 +146,7 @@ pub struct State {
     output: Option<(Output, f64)>,
     asked: Option<(Option<f64>, f64)>,
     /// When the elongation came last, each pair of temperatures, and anything of the status.
-    told_s: Told,
+    told_s: ReceivedAt,
     cnc: Cnc,
     frames: u32,
     counted_s: f64,
@@ -179,7 +179,7 @@ impl State {
             offsets: OffsetReceiver::new(),
             output: None,
             asked: None,
-            told_s: Told::default(),
+            told_s: ReceivedAt::default(),
             cnc: Cnc::default(),
             frames: 0,
             counted_s: 0.0,
@@ -189,10 +189,10 @@ impl State {
     }
 
     /// Takes a frame from the bus.
-    pub fn hear(&mut self, frame: &Frame, now_s: f64) {
+    pub fn receive(&mut self, frame: &Frame, now_s: f64) {
         self.now_s = now_s;
         self.frames += 1;
-        match self.board.hear(frame) {
+        match self.board.receive(frame) {
             Some(Item::Elongation(_)) => self.told_s.growth = Some(now_s),
             Some(Item::Temperatures { pair, .. }) => {
                 if let Some(place) = self.told_s.temperatures.get_mut(usize::from(pair)) {
@@ -202,7 +202,7 @@ impl State {
             Some(Item::State(_)) => self.told_s.state = Some(now_s),
             _ => {}
         }
-        self.cnc.hear(frame, (now_s * 1_000.0) as u64);
+        self.cnc.receive(frame, (now_s * 1_000.0) as u64);
         // What is refused is counted in there.
         if let Ok(Some(output)) = self.offsets.accept(frame) {
             self.output = Some((output, now_s));
@@ -275,7 +275,9 @@ impl State {
             }
             Key::Char('g' | 'G') => return self.asks_for_a_reading(),
             Key::Char('u' | 'U') if self.marks > 0 => return Some(Action::Unmark),
-            Key::Char('u' | 'U') => self.say("no reading of the gauge is in the recording"),
+            Key::Char('u' | 'U') => {
+                self.show_message("no reading of the gauge is in the recording")
+            }
             Key::Char('t' | 'T') => self.next_series(),
             Key::Char('?' | 'h') => self.is_helping = !is_helping,
             _ => {}
@@ -285,7 +287,7 @@ impl State {
 
     fn asks_for_a_reading(&mut self) -> Option<Action> {
         if self.recording.is_none() {
-            self.say("press r first: a gauge reading is written into a recording");
+            self.show_message("press r first: a gauge reading is written into a recording");
             return None;
         }
         match self.gauge.latest {
@@ -312,7 +314,8 @@ impl State {
                     self.gauge.latest = Some((um, self.now_s));
                     return Some(Action::Mark(um));
                 }
-                Err(_) => self.say("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
+                Err(_) => self
+                    .show_message("type the reading in µm, such as -3.5, then Enter; Esc leaves"),
             },
             Key::Escape => self.prompt = None,
             Key::Char(_) | Key::Interrupt => {}
@@ -328,7 +331,7 @@ impl State {
     }
 
     /// Shows the user a message.
-    pub fn say(&mut self, message: impl Into<String>) {
+    pub fn show_message(&mut self, message: impl Into<String>) {
         self.message = Some((message.into(), self.now_s));
     }
 
@@ -468,14 +471,14 @@ impl State {
 
     /// The CNC is received on this line.
     #[must_use]
-    pub fn hears_cnc(&self) -> bool {
+    pub fn receives_cnc(&self) -> bool {
         let now_ms = (self.now_s * 1_000.0) as u64;
         self.cnc.position_mm(now_ms).iter().any(Option::is_some)
     }
 
     /// Returns what is wrong, with what to do about it.
     #[must_use]
-    pub fn troubles(&self) -> Vec<(&'static str, &'static str)> {
+    pub fn alarms(&self) -> Vec<(&'static str, &'static str)> {
         let mut words = self.board.words();
         words.extend(self.output().map(|output| flag_words(output.flags)).unwrap_or_default());
         let of_cnc = ["cnc-damaged", "cnc-sequence", "cnc-malformed"];

@@ -16,7 +16,7 @@ use ratatui::{
 use crate::state::{Link, State};
 
 /// Rows without which a trend says nothing.
-const LEAST_TREND: u16 = 4;
+const MIN_TREND: u16 = 4;
 /// The keys, each with its action.
 const KEYS: [(&str, &str); 6] =
     [("q", "quit"), ("r", "record"), ("g", "gauge"), ("u", "undo"), ("t", "trend"), ("?", "help")];
@@ -75,15 +75,15 @@ pub fn draw(frame: &mut Frame<'_>, state: &State, theme: Theme) {
     let table = lines::offsets(state, theme, true);
     let short = lines::offsets(state, theme, false);
     let below = lines::below(state, theme, width);
-    let troubles = lines::troubles(state, theme, width);
+    let troubles = lines::alarms(state, theme, width);
     let rows = |lines: &[Line<'_>]| u16::try_from(lines.len()).unwrap_or(u16::MAX);
     let message = message(state, theme, width);
     // The lines of messages and the line of keys.
     let fixed = rows(&top) + rows(&below) + rows(&troubles) + rows(&message) + 1;
     let fits = |table: &[Line<'_>], trend| fixed + rows(table) + trend <= area.height;
-    let table = if fits(&table, LEAST_TREND) { table } else { short };
+    let table = if fits(&table, MIN_TREND) { table } else { short };
     let spare = area.height.saturating_sub(fixed + rows(&table));
-    let trend = if spare >= LEAST_TREND { spare } else { 0 };
+    let trend = if spare >= MIN_TREND { spare } else { 0 };
     // Troubles that do not fit are cut off at their end, where the lesser ones stand.
     let [at_top, at_table, at_below, at_troubles, at_trend, at_message, at_keys] =
         Layout::vertical([

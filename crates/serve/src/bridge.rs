@@ -7,7 +7,7 @@ use trueup_client::{
     cnc::Cnc,
     line::LineEvent,
     object::{self, At},
-    poll::{Heard, Poll},
+    poll::{Poll, PollOutcome},
     status::Board,
     words::{flag_words, offset_um},
 };
@@ -97,11 +97,11 @@ impl Bridge {
             return None;
         }
         // The state comes last of all that is waited for after a start.
-        if let Some(Item::State(_)) = self.board.hear(frame) {
+        if let Some(Item::State(_)) = self.board.receive(frame) {
             self.status_at = Some(now);
         }
         let ms = now.saturating_duration_since(self.start).as_millis();
-        self.cnc.hear(frame, u64::try_from(ms).unwrap_or(u64::MAX));
+        self.cnc.receive(frame, u64::try_from(ms).unwrap_or(u64::MAX));
         if frames::decode_heartbeat(frame) == Ok(NodeState::BootUp) {
             self.starts = self.starts.saturating_add(1);
             self.ask_again(now);
@@ -112,9 +112,9 @@ impl Bridge {
     /// Returns the next part of an answer's question.
     fn answer(&mut self, frame: &Frame, now: Instant) -> Option<Frame> {
         let running = self.polls.iter().position(Poll::is_running)?;
-        match self.polls[running].hear(frame, now) {
-            Heard::Ask(request) => Some(request),
-            Heard::Bytes(bytes) => {
+        match self.polls[running].receive(frame, now) {
+            PollOutcome::Ask(request) => Some(request),
+            PollOutcome::Bytes(bytes) => {
                 let text = || {
                     let text = String::from_utf8_lossy(&bytes[..bytes.len().min(MAX_NAME)]);
                     Some(one_line(text.trim_end_matches('\0'))).filter(|it| !it.is_empty())
@@ -128,7 +128,7 @@ impl Bridge {
                 }
                 None
             }
-            Heard::Refused | Heard::Nothing => None,
+            PollOutcome::Refused | PollOutcome::Nothing => None,
         }
     }
 

@@ -98,7 +98,7 @@ pub fn keep(
             let now = Instant::now();
             let mut to_send = Vec::new();
             if let Some(mut bridge) = shared.bridge(place) {
-                to_send.extend(line.heard().filter_map(|event| bridge.receive(event, now)));
+                to_send.extend(line.received().filter_map(|event| bridge.receive(event, now)));
                 to_send.extend(bridge.due(now));
             }
             to_send.into_iter().for_each(|frame| line.send(frame));

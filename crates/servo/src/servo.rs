@@ -32,7 +32,7 @@ use trueup_linuxcnc_core::{
     joint::{JointReading, JointSettings, MAX_JOINTS},
     offsets,
 };
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::{
     calibration::{self, BlobError, identity},
     retained::{self, Copies},
@@ -276,7 +276,7 @@ impl Servo {
         self.retain_at_us = self.now_us.saturating_add(RETAIN_US);
         let passed_s = u32::try_from(self.now_us / US_PER_S).unwrap_or(u32::MAX);
         let now_s = self.started_s.map(|started| started.saturating_add(passed_s));
-        self.copy = retained::save_as(copies, self.copy, &self.node.kept(), now_s);
+        self.copy = retained::save_as(copies, self.copy, &self.node.retained(), now_s);
         true
     }
 
@@ -307,7 +307,7 @@ impl Servo {
         outputs.calibration = Some(self.calibration);
         for frame in &frames {
             // The node counts a refused frame, and its status has the count.
-            self.node.hear(Line::Can, frame).ok();
+            self.node.receive(Interface::Can, frame).ok();
         }
         self.now_us = self.now_us.saturating_add(period_us);
         self.pending_us = self.pending_us.saturating_add(period_us);
@@ -358,10 +358,10 @@ impl Servo {
         };
         let now = Duration::from_micros(self.now_us);
         for frame in self.node.tick(1, input) {
-            self.component.hear(now, &Event::Frame(frame));
+            self.component.receive(now, &Event::Frame(frame));
         }
         if let Some(frame) = self.node.service() {
-            self.component.hear(now, &Event::Frame(frame));
+            self.component.receive(now, &Event::Frame(frame));
         }
     }
 

@@ -113,7 +113,7 @@ fn with_a_clock_it_goes_on_and_damaged_copies_are_not_believed() {
     let (_, cold_um) = warm(blob);
     // A machine that has a clock and is known to be cold: resumed from copies of a cold one, an hour old.
     let mut copies = [[0; SIZE]; 2];
-    let cold = servo(blob).node().kept();
+    let cold = servo(blob).node().retained();
     trueup_store::retained::save(&mut copies, &cold, Some(NOW_S - 3_600));
     first.resume(&copies, Some(NOW_S));
     let warm_um = live(&mut first, &mut copies, 18_000.0, 240).offset_um[2];

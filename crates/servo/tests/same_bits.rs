@@ -25,7 +25,7 @@ use trueup_linuxcnc_core::{
     offsets::Limits,
 };
 use trueup_machine::{MachineFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_servo::abi::{
     ALIGNMENT, BYTES, CInputs, COutputs, CSettings, trueup_servo_reason, trueup_servo_start,
     trueup_servo_step,
@@ -287,7 +287,7 @@ impl<'a> Host<'a> {
         };
         let (outputs, frames) = self.component.step(Duration::from_millis(self.ms), &inputs);
         for frame in &frames {
-            self.node.hear(Line::Serial, &over_the_line(frame)).ok();
+            self.node.receive(Interface::Serial, &over_the_line(frame)).ok();
         }
         self.ms += 1;
         let codes = self.sample(pins.sensor_v);
@@ -301,7 +301,7 @@ impl<'a> Host<'a> {
         let now = Duration::from_millis(self.ms);
         let ticked = self.node.tick(1, input);
         for frame in ticked.into_iter().chain(self.node.service()) {
-            self.component.hear(now, &slcan::Event::Frame(over_the_line(&frame)));
+            self.component.receive(now, &slcan::Event::Frame(over_the_line(&frame)));
         }
         outputs
     }

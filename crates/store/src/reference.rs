@@ -30,7 +30,7 @@ use trueup_core::{
 use crate::{
     crc,
     log::{Half, Log, Only, StoreError, write_part},
-    writes::{self, What, Write, Writes},
+    writes::{self, Write, WriteKind, Writes},
 };
 
 /// Bytes of a slot, which a record fills.
@@ -190,14 +190,14 @@ impl Events {
 
     fn note(&mut self, calibration: u32, write: &Write) {
         // The names move on under whichever calibration runs then.
-        if write.what != What::Named {
+        if write.what != WriteKind::Named {
             self.ran(calibration, write.calibration, write.sequence);
         }
         let is_newer = write.about == calibration && write.sequence > self.loaded.0;
         match write.what {
-            What::Loaded if is_newer => self.loaded = (write.sequence, write.is_unattended),
+            WriteKind::Loaded if is_newer => self.loaded = (write.sequence, write.is_unattended),
             // A load that never came to run.
-            What::Cancelled if is_newer => self.loaded = (0, false),
+            WriteKind::Cancelled if is_newer => self.loaded = (0, false),
             _ => {}
         }
     }
@@ -236,7 +236,7 @@ impl<F: NorFlash> References<F> {
             let mut bytes = [0; RECORD_SIZE];
             let is_read = flash.read(slot.address, &mut bytes).is_ok();
             if let Some(write) = is_read.then(|| decode_write(&bytes)).flatten() {
-                if write.what == What::Named {
+                if write.what == WriteKind::Named {
                     only_named.note(slot.half);
                     note_newest(&mut named, write, slot.half);
                 } else if takes_reference(write.what) && write.calibration == calibration {
@@ -308,7 +308,7 @@ impl<F: NorFlash> References<F> {
             write_part(flash, slot.address, &encode_write(&Write { sequence, ..*write }))
         })?;
         let stored = Write { sequence, ..*write };
-        if stored.what == What::Named {
+        if stored.what == WriteKind::Named {
             self.named = Some((stored, slot.half));
             self.only_named = Only::default();
         } else if takes_reference(stored.what) && stored.calibration == self.calibration {
@@ -382,8 +382,8 @@ impl<F: NorFlash> References<F> {
 }
 
 /// Returns whether a write says where the reference comes from.
-const fn takes_reference(what: What) -> bool {
-    matches!(what, What::Zeroed | What::Offered)
+const fn takes_reference(what: WriteKind) -> bool {
+    matches!(what, WriteKind::Zeroed | WriteKind::Offered)
 }
 
 /// Keeps the newer one.

@@ -13,9 +13,9 @@
 //! nothing has outlasted neither has its CRC, but for one case in 2³².
 
 use trueup_core::{
-    bridge::KeptJoint,
+    bridge::RetainedJoint,
     calibration::ElongationSource,
-    heat_memory::{HeatMemory, KeptLag, Key, MOST_LAGS},
+    heat_memory::{HeatMemory, Key, MAX_LAGS, RetainedLag},
     lag::{Lag, SmoothingFactor},
     units::Nanometres,
 };
@@ -26,7 +26,7 @@ const LAYOUT: u32 = 2;
 const HEAD: usize = 20;
 const LAG_SIZE: usize = 28;
 /// Bytes of a copy.
-pub const SIZE: usize = HEAD + MOST_LAGS * LAG_SIZE + 4;
+pub const SIZE: usize = HEAD + MAX_LAGS * LAG_SIZE + 4;
 const _: () = assert!(SIZE == 612);
 /// A machine that was off for longer has not stood there: its clock is wrong.
 pub const LONGEST_OFF_S: u32 = 366 * DAY_S;
@@ -36,16 +36,16 @@ pub type Copies = [[u8; SIZE]; 2];
 
 /// The values that outlast a reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Kept {
+pub struct RetainedState {
     /// The state of each lag.
     pub heat: HeatMemory,
     /// The source of the elongation that was used last.
-    pub joint: Option<KeptJoint>,
+    pub joint: Option<RetainedJoint>,
 }
 
 /// Returns what the newer whole copy says; `None`: there is none, the power was gone.
 #[must_use]
-pub fn load(copies: &Copies) -> Option<Kept> {
+pub fn load(copies: &Copies) -> Option<RetainedState> {
     newest(copies).map(|(_, kept)| kept)
 }
 
@@ -60,7 +60,7 @@ pub fn off_s(copies: &Copies, now_s: Option<u32>) -> Option<u32> {
 }
 
 /// When the newer whole copy was written, and what it says.
-fn newest(copies: &Copies) -> Option<(u32, Kept)> {
+fn newest(copies: &Copies) -> Option<(u32, RetainedState)> {
     let [first, second] = copies.each_ref().map(decode);
     let newest = match (first, second) {
         (Some(first), Some(second)) if is_newer(first.0, second.0) => first,
@@ -71,7 +71,7 @@ fn newest(copies: &Copies) -> Option<(u32, Kept)> {
 }
 
 /// Writes it into the older copy, at this time of a clock that goes on without power, if there is one.
-pub fn save(copies: &mut Copies, kept: &Kept, now_s: Option<u32>) {
+pub fn save(copies: &mut Copies, kept: &RetainedState, now_s: Option<u32>) {
     let [first, second] = copies.each_ref().map(|copy| decode(copy).map(|(number, ..)| number));
     let (number, older) = match (first, second) {
         (Some(first), Some(second)) if is_newer(first, second) => (first, 1),
@@ -87,7 +87,7 @@ pub fn save(copies: &mut Copies, kept: &Kept, now_s: Option<u32>) {
 
 /// Writes it as the copy with this number, without a look at those that are there: for who counts the copies, and has
 /// little time. Returns the next number.
-pub fn save_as(copies: &mut Copies, number: u32, kept: &Kept, now_s: Option<u32>) -> u32 {
+pub fn save_as(copies: &mut Copies, number: u32, kept: &RetainedState, now_s: Option<u32>) -> u32 {
     let [even, odd] = copies;
     let copy = if number & 1 == 0 { even } else { odd };
     copy.fill(0);
@@ -99,17 +99,17 @@ fn is_newer(number: u32, other: u32) -> bool {
     number.wrapping_sub(other).cast_signed() > 0
 }
 
-fn encode(kept: &Kept, number: u32, written_s: u32, copy: &mut [u8; SIZE]) {
+fn encode(kept: &RetainedState, number: u32, written_s: u32, copy: &mut [u8; SIZE]) {
     let (source, shift) = match kept.joint {
         None => (0, 0),
-        Some(KeptJoint { source, shift }) => (source_number(source), shift.0),
+        Some(RetainedJoint { source, shift }) => (source_number(source), shift.0),
     };
     let head = [LAYOUT, number, written_s, source, shift.cast_unsigned()];
     let words = copy.as_chunks_mut::<4>().0;
     words.iter_mut().zip(head).for_each(|(place, word)| *place = word.to_le_bytes());
     let places = words.get_mut(HEAD / 4..).unwrap_or_default().chunks_mut(LAG_SIZE / 4);
     for (place, lag) in places.zip(kept.heat.lags.into_iter().flatten()) {
-        let KeptLag { key: Key { input, rising, falling }, lag, running_ms } = lag;
+        let RetainedLag { key: Key { input, rising, falling }, lag, running_ms } = lag;
         let [a, b, c, d, e, f, g, h] = lag.to_bits().to_le_bytes();
         let (low, high) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
         let here = u32::from(input) | 1 << 8;
@@ -120,13 +120,13 @@ fn encode(kept: &Kept, number: u32, written_s: u32, copy: &mut [u8; SIZE]) {
 }
 
 /// Returns the number of the copy, when it was written, and what it says; `None`: it is not whole.
-fn decode(copy: &[u8; SIZE]) -> Option<(u32, u32, Kept)> {
+fn decode(copy: &[u8; SIZE]) -> Option<(u32, u32, RetainedState)> {
     let words = crc::unseal(copy)?.as_chunks::<4>().0;
     let &[layout, number, written_s, source, shift, ref lags @ ..] = words else { return None };
     if u32::from_le_bytes(layout) != LAYOUT {
         return None;
     }
-    let mut kept = Kept::default();
+    let mut kept = RetainedState::default();
     for (place, lag) in kept.heat.lags.iter_mut().zip(lags.chunks(LAG_SIZE / 4)) {
         let &[here, rising, falling, low, high, running_ms, missed] = lag else { return None };
         let [input, 1, ..] = here else { continue };
@@ -136,10 +136,11 @@ fn decode(copy: &[u8; SIZE]) -> Option<(u32, u32, Kept)> {
         let ([a, b, c, d], [e, f, g, h]) = (low, high);
         let mut lag = Lag::from_bits(i64::from_le_bytes([a, b, c, d, e, f, g, h]));
         lag.miss(missed);
-        *place = Some(KeptLag { key, lag, running_ms });
+        *place = Some(RetainedLag { key, lag, running_ms });
     }
     let shift = Nanometres(i32::from_le_bytes(shift));
-    kept.joint = source_of(u32::from_le_bytes(source)).map(|source| KeptJoint { source, shift });
+    kept.joint =
+        source_of(u32::from_le_bytes(source)).map(|source| RetainedJoint { source, shift });
     Some((u32::from_le_bytes(number), u32::from_le_bytes(written_s), kept))
 }
 
@@ -161,10 +162,10 @@ fn source_of(number: u32) -> Option<ElongationSource> {
 mod tests {
     use super::*;
 
-    fn kept(number: i32) -> Kept {
+    fn kept(number: i32) -> RetainedState {
         let mut heat = HeatMemory::default();
         for input in [3, 7, Key::RUNNING] {
-            heat.keep(KeptLag {
+            heat.keep(RetainedLag {
                 key: Key { input, rising: SmoothingFactor(9), falling: SmoothingFactor(8) },
                 lag: {
                     let mut lag = Lag::settled(number - i32::from(input));
@@ -174,8 +175,8 @@ mod tests {
                 running_ms: 77,
             });
         }
-        let joint = KeptJoint { source: ElongationSource::Warmup, shift: Nanometres(-number) };
-        Kept { heat, joint: Some(joint) }
+        let joint = RetainedJoint { source: ElongationSource::Warmup, shift: Nanometres(-number) };
+        RetainedState { heat, joint: Some(joint) }
     }
 
     #[test]
@@ -187,8 +188,8 @@ mod tests {
             save(&mut copies, &kept(number), None);
             assert_eq!(load(&copies), Some(kept(number)));
         }
-        save(&mut copies, &Kept::default(), None);
-        assert_eq!(load(&copies), Some(Kept::default()));
+        save(&mut copies, &RetainedState::default(), None);
+        assert_eq!(load(&copies), Some(RetainedState::default()));
     }
 
     #[test]

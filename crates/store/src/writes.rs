@@ -7,7 +7,7 @@
 //! |---|---|---|
 //! | 0 | `u32` sequence number, over references and writes | |
 //! | 4 | `u32` the calibration that ran: the CRC of its blob; 0: none | |
-//! | 8 | `u32` what it was about, see [`What`] | |
+//! | 8 | `u32` what it was about, see [`WriteKind`] | |
 //! | 12 | `u32` time since the start of the board | ms |
 //! | 16 | `u32` time of day; 0: not set | s since 1970, UTC |
 //! | 20 | `u8` what, `u8` line (0 the board itself, 1 CAN, 2 serial, 3 Modbus), `u8` 1: no CNC was received, 0 | |
@@ -30,7 +30,7 @@ pub(crate) const LAYOUT: u32 = 2;
 /// The kind of a write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
-pub enum What {
+pub enum WriteKind {
     /// A calibration; about: its CRC.
     Loaded = 1,
     /// `Zero` has taken a reference; about: its elongation in nm, as `i32`.
@@ -47,7 +47,7 @@ pub enum What {
     Cancelled,
 }
 
-impl What {
+impl WriteKind {
     /// All of them.
     pub const ALL: [Self; 7] = [
         Self::Loaded,
@@ -112,14 +112,14 @@ pub struct Write {
     pub sequence: u32,
     /// The calibration that ran, by the CRC of its blob; 0: none.
     pub calibration: u32,
-    /// Its subject, see [`What`].
+    /// Its subject, see [`WriteKind`].
     pub about: u32,
     /// Milliseconds since the start of the board.
     pub at_ms: u32,
     /// Seconds since 1970 (UTC); 0: the time of the board was not set.
     pub utc_s: u32,
     /// Its kind.
-    pub what: What,
+    pub what: WriteKind,
     /// Where it came from.
     pub origin: Origin,
     /// It changes the calibration that will run, and no CNC was received meanwhile.
@@ -151,7 +151,7 @@ impl Write {
         };
         let [sequence, calibration, about, at_ms, utc_s] =
             [sequence, calibration, about, at_ms, utc_s].map(u32::from_le_bytes);
-        let what = What::ALL.into_iter().find(|it| *it as u8 == what)?;
+        let what = WriteKind::ALL.into_iter().find(|it| *it as u8 == what)?;
         let origin = Origin::ALL.into_iter().find(|it| *it as u8 == origin)?;
         let is_unattended = unattended & 1 != 0;
         Some(Self { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended })
@@ -214,7 +214,7 @@ mod tests {
     use std::vec::Vec;
 
     fn write(sequence: u32) -> Write {
-        let what = What::ALL[sequence as usize % What::ALL.len()];
+        let what = WriteKind::ALL[sequence as usize % WriteKind::ALL.len()];
         let origin = Origin::ALL[sequence as usize % Origin::ALL.len()];
         let about = sequence.wrapping_mul(0x0101_0101);
         Write {
@@ -278,7 +278,7 @@ mod tests {
     #[test]
     fn a_program_reads_what_was_written_and_over_which_line_by_these_words() {
         let words = ["loaded", "zeroed", "forgotten", "confirmed", "named", "offered", "cancelled"];
-        assert_eq!(What::ALL.map(What::word), words);
+        assert_eq!(WriteKind::ALL.map(WriteKind::word), words);
         assert_eq!(Origin::ALL.map(Origin::word), ["board", "can", "serial", "modbus"]);
     }
 }

@@ -20,7 +20,7 @@ pub enum RotaryAxis {
 }
 
 /// At most this many of them carry a spindle.
-pub const MOST_AXES: usize = 2;
+pub const MAX_AXES: usize = 2;
 
 impl RotaryAxis {
     /// Returns the column of its angle.
@@ -57,7 +57,7 @@ impl RotaryAxis {
 /// assert!((v[0] + 0.5).abs() < 1e-12 && v[1].abs() < 1e-12);
 /// ```
 #[must_use]
-pub fn turned(axes: &[RotaryAxis], angles_deg: [f64; MOST_AXES], straight: [f64; 3]) -> [f64; 3] {
+pub fn turned(axes: &[RotaryAxis], angles_deg: [f64; MAX_AXES], straight: [f64; 3]) -> [f64; 3] {
     let from_the_frame: Vec<_> = axes.iter().zip(angles_deg).collect();
     from_the_frame.iter().rev().fold(straight, |v, (axis, angle_deg)| axis.turn(*angle_deg, v))
 }

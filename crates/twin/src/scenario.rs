@@ -26,7 +26,7 @@ use crate::{
 pub use crate::broken::BadScenario;
 
 /// The most rows, and the most ways there and back, that a scenario may ask for.
-pub const MOST_ROWS: f64 = 5e6;
+pub const MAX_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
 pub const SHORTEST_STEP_S: f64 = 1e-3;
 
@@ -222,8 +222,8 @@ impl Scenario {
         if self.tool_direction.iter().all(|component| *component == 0.0) {
             return Err(Rule::new("tool_direction", "has no length".into()));
         }
-        if self.head.len() > head::MOST_AXES {
-            let rule = format!("has more than {} axes", head::MOST_AXES);
+        if self.head.len() > head::MAX_AXES {
+            let rule = format!("has more than {} axes", head::MAX_AXES);
             return Err(Rule::new("head", rule));
         }
         if let Some(spindle) = &self.spindle {
@@ -287,8 +287,8 @@ impl Scenario {
         let ways = |segment: &Segment| 2.0 * f64::from(segment.cycles.unwrap_or(1));
         let ways = f64::from(self.repeat) * self.segment.iter().map(ways).sum::<f64>();
         let rows = self.rows().max(ways);
-        if rows > MOST_ROWS {
-            let rule = format!("comes to {rows:.0} rows or ways, more than {MOST_ROWS:.0}");
+        if rows > MAX_ROWS {
+            let rule = format!("comes to {rows:.0} rows or ways, more than {MAX_ROWS:.0}");
             return Err(Rule::new("repeat", rule));
         }
         Ok(())

@@ -15,7 +15,7 @@ use crate::{
     bodies::Body,
     instrument::InstrumentConfig,
     path::Segment,
-    scenario::{CoolantConfig, MOST_ROWS},
+    scenario::{CoolantConfig, MAX_ROWS},
     sensors::{DisplacementConfig, ThermometerConfig},
     spindle::SpindleConfig,
     tool::ToolConfig,
@@ -30,7 +30,7 @@ pub fn scenario() -> Value {
     schema.insert(
         "description".into(),
         format!(
-            "A virtual machine tool and what it does, for `trueup simulate`: at most {MOST_ROWS:.0} rows."
+            "A virtual machine tool and what it does, for `trueup simulate`: at most {MAX_ROWS:.0} rows."
         )
         .into(),
     );

@@ -8,7 +8,7 @@ use std::{fmt::Write as _, fs, path::Path};
 
 use trueup_twin::{
     Scenario,
-    hidden::{Challenge, Hidden, PAIRS, draw, draw_pair},
+    hidden::{Hidden, PAIRS, TestCase, draw, draw_pair},
     simulate,
 };
 
@@ -18,7 +18,7 @@ fn fnv_1a(texts: &[&str]) -> u64 {
     })
 }
 
-fn hash(challenge: &Challenge) -> u64 {
+fn hash(challenge: &TestCase) -> u64 {
     let mut texts: Vec<&str> = challenge.runs.iter().map(String::as_str).collect();
     texts.extend([&*challenge.holdout, &*challenge.machine]);
     fnv_1a(&texts)
@@ -27,7 +27,7 @@ fn hash(challenge: &Challenge) -> u64 {
 /// Returns one line for each: the name, and the hashes of seeds 0 to 3 at the ratios 1 and 3.
 fn all() -> String {
     let mut text = String::new();
-    let mut line = |name: &str, of: &dyn Fn(f64, u64) -> Challenge| {
+    let mut line = |name: &str, of: &dyn Fn(f64, u64) -> TestCase| {
         write!(text, "{name}").expect("a String takes all text");
         for (ratio, seed) in [(1.0, 0), (3.0, 1), (3.0, 2), (1.0, 3)] {
             write!(text, " {:016x}", hash(&of(ratio, seed))).expect("a String takes all text");

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use trueup_twin::hidden::{Challenge, Expected, Hidden, PAIRS, draw, draw_pair};
+use trueup_twin::hidden::{Expected, Hidden, PAIRS, TestCase, draw, draw_pair};
 
 /// Returns the named column of a run file of numbers; NaN where a cell is empty.
 fn column(csv: &str, name: &str) -> Vec<f64> {
@@ -17,7 +17,7 @@ fn column(csv: &str, name: &str) -> Vec<f64> {
         .collect()
 }
 
-fn measured(challenge: &Challenge) -> Vec<f64> {
+fn measured(challenge: &TestCase) -> Vec<f64> {
     let name = format!("measured_{}_um", challenge.quantity);
     challenge.runs.iter().flat_map(|csv| column(csv, &name)).collect()
 }
@@ -195,7 +195,7 @@ fn left_by(effect: &[f64], rival: &[f64]) -> f64 {
 fn an_axis_expands_and_tilts_as_its_parameters_say() {
     let (mut at_once, mut straight) = (0, 0);
     for seed in 0..12 {
-        let all = |challenge: &Challenge, name: &str| -> Vec<f64> {
+        let all = |challenge: &TestCase, name: &str| -> Vec<f64> {
             challenge.runs.iter().flat_map(|run| column(run, name)).collect()
         };
         let challenge = draw(Hidden::AxisExpansion, 3.0, seed);

@@ -51,7 +51,8 @@ fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
     let mut answer = [0xA4, low, high, IMAGE.1, BLOCK, 0, 0, 0];
     loop {
         at += BLOCK_MS;
-        let heard = transfer.hear(&Frame::full(0x581, answer)).expect("an answer of this transfer");
+        let heard =
+            transfer.receive(&Frame::full(0x581, answer)).expect("an answer of this transfer");
         let Progress::Ask(first) = heard else { return (script, at) };
         let (mut count, mut next) = (0, Some(first));
         while let Some(frame) = next {

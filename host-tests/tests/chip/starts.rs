@@ -188,8 +188,8 @@ fn after_a_power_cut_in_the_first_zero_the_board_is_heard_within_200_ms() {
             times.find(|time| *time > from)
         };
         let cut = at("reset power, in a flash word", 0.0).expect("the power is cut");
-        let heard = at(" can 281 ", cut).expect("the board is heard again");
-        assert!(heard - cut < 200.0, "word {word}: silent for {} ms", heard - cut);
+        let received = at(" can 281 ", cut).expect("the board is heard again");
+        assert!(received - cut < 200.0, "word {word}: silent for {} ms", received - cut);
     }
 }
 

@@ -19,7 +19,7 @@ use trueup_emulator::{
 };
 use trueup_link::{frame::Frame, frames};
 use trueup_machine::{Compiled, MachineFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_pipe::{Block, FRAMES};
 
 use super::support::{FAST_MACHINE, chip::Chip};
@@ -90,7 +90,7 @@ fn on_the_host(compiled: &Compiled, blocks: &[Block]) -> Vec<i32> {
     let mut sent = Vec::new();
     for block in blocks {
         for frame in block.frames.iter().flatten() {
-            node.hear(Line::Can, frame).expect("nothing of it is refused");
+            node.receive(Interface::Can, frame).expect("nothing of it is refused");
         }
         let input = Input { codes: Some(&block.codes), ..Input::default() };
         sent.extend(node.tick(1, input));

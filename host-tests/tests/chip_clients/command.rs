@@ -70,12 +70,12 @@ fn xtask_chip_shows_the_log_and_serves_any_slcan_client_with_a_dead_crystal() ->
     for word in ["crystal", "fall-back-clock", "board-degraded", "on STM32F405"] {
         ensure!(told.contains(word), "no {word:?} in\n{told}");
     }
-    let heard =
+    let received =
         Command::new(python).args(["-c", HEAR, &format!("socket://127.0.0.1:{port}")]).output()?;
-    ensure!(heard.status.success(), "{}", String::from_utf8_lossy(&heard.stderr));
+    ensure!(received.status.success(), "{}", String::from_utf8_lossy(&received.stderr));
     // The offsets, and what comes ten times a second.
-    let heard = String::from_utf8(heard.stdout)?;
-    ensure!(heard.trim() == "[385, 641, 897, 1793]", "{heard}");
+    let received = String::from_utf8(received.stdout)?;
+    ensure!(received.trim() == "[385, 641, 897, 1793]", "{received}");
 
     // Ctrl-C is for all of a terminal; its end of the pipe is closed when nobody is left.
     ensure!(terminal.signal("INT")?.success(), "it takes the signal");

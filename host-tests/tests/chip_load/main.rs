@@ -17,7 +17,7 @@ use std::sync::{
 };
 
 use anyhow::{Context as _, Result, ensure};
-use master::Told;
+use master::Received;
 use support::{FAST_MACHINE, chip::Chip};
 use trueup_machine::{Compiled, MachineFile, compile};
 use trueup_store::calibration::identity;
@@ -72,7 +72,7 @@ fn load(chip: &Chip, fault: &str) -> Result<u32> {
     );
     let report = chip.live((ask + 40.0) as u32, &script, &[])?;
     ensure!(report.clean, "a violation:\n{}", report.said);
-    let told = Told::of(&report.events);
+    let told = Received::of(&report.events);
     let [reset] = told.resets[..] else { anyhow::bail!("resets at {:?}", told.resets) };
     let heard =
         told.offsets.iter().find(|time| **time > reset).context("it is never heard again")?;

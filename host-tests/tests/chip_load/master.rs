@@ -14,7 +14,7 @@ pub fn questions(from_ms: f64) -> String {
 
 /// Reports of the board, with the times in ms.
 #[derive(Default)]
-pub struct Told {
+pub struct Received {
     /// Answers of SDO.
     answers: Vec<(f64, [u8; 8])>,
     /// Codes of emergencies.
@@ -25,7 +25,7 @@ pub struct Told {
     pub resets: Vec<f64>,
 }
 
-impl Told {
+impl Received {
     /// Of the model's events.
     pub fn of(events: &[String]) -> Self {
         let mut told = Self::default();

@@ -9,7 +9,7 @@ use trueup_store::{
     slots::Slots,
 };
 
-use super::{Told, all, chip, compiled, master};
+use super::{Received, all, chip, compiled, master};
 
 /// Of the chip's megabyte of flash, the sectors 8 and 9 (RM0090, table 5).
 const SECTORS: Range<usize> = 0x8_0000..0xC_0000;
@@ -97,7 +97,7 @@ fn start(damaged: [Part; 2], gain: f64, asks: bool) -> Result<()> {
     );
     let report = chip.live(1_090, &script, &["--flash", path])?;
     ensure!(report.clean, "a violation:\n{}", report.said);
-    let told = Told::of(&report.events);
+    let told = Received::of(&report.events);
     let running = told.object((0x2100, 3), 0.0).context("it does not say what it runs on")?;
     ensure!(running == identity(compiled(gain).blob()), "it runs on {running:08x}");
     let is_asked = told.emergencies.iter().any(|(time, code)| *time < 250.0 && *code == 0x6301);

@@ -119,9 +119,9 @@ fn speak(mut stream: TcpStream, shared: &Shared) -> io::Result<()> {
     stream.set_nodelay(true)?;
     stream.set_nonblocking(true)?;
     let (mut counter, mut turns, mut statuses) = (0_u8, 0_u32, 0_u8);
-    let mut heard = [0; 4_096];
+    let mut received = [0; 4_096];
     while !shared.stop.load(Ordering::Relaxed) && !shared.is_dead.load(Ordering::Relaxed) {
-        match stream.read(&mut heard) {
+        match stream.read(&mut received) {
             Ok(0) => return Ok(()),
             Err(error) if error.kind() != ErrorKind::WouldBlock => return Err(error),
             _ => {}

@@ -35,7 +35,7 @@ use trueup_emulator::{
 use trueup_fit::{Report, curve, pitch, straightness, thermal, warmup};
 use trueup_machine::{
     Machine as Believed, MachineFile, RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{LinearAxis, write::Edit},
     model::{pitch_um, spline_um},
 };
@@ -240,9 +240,9 @@ fn scenario(what: &str) -> Scenario {
     Scenario::parse(&text, Path::new("s.toml")).unwrap_or_else(|bad| panic!("{bad:?}\n{text}"))
 }
 
-fn run_of(text: &str) -> Unaided<'static> {
+fn run_of(text: &str) -> Uncompensated<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// Returns what is asked for alike: moves of 60 m/min, and short dwells.

@@ -88,7 +88,7 @@ impl Backup {
             None => {
                 defmt::info!("nothing is known of before the power cut");
                 copies.fill([0; SIZE]);
-                self.keep(copies);
+                self.store(copies);
             }
         }
         off_s.unwrap_or(0)
@@ -105,7 +105,7 @@ impl Backup {
     }
 
     /// Writes the copies where they outlast a power cut.
-    pub fn keep(&mut self, copies: &mut Copies) {
+    pub fn store(&mut self, copies: &mut Copies) {
         self.open(|| {
             for (n, word) in words(copies).enumerate() {
                 // SAFETY: an aligned word of the SRAM, which nobody else uses, and whose clock is on.

@@ -28,8 +28,8 @@ use stm32f4xx_hal::{
 };
 
 use super::{
+    crash_record::{self, Core, StopReason},
     crystal,
-    last_words::{self, Core, Why},
     stopwatch::{self, soon},
 };
 
@@ -156,6 +156,6 @@ fn configuration(source: Source) -> Config {
 #[cortex_m_rt::exception]
 #[allow(unsafe_code, reason = "registers of the clock tree")]
 unsafe fn NonMaskableInt() -> ! {
-    last_words::leave(Why::Crystal, Core::default(), None);
+    crash_record::leave(StopReason::Crystal, Core::default(), None);
     SCB::sys_reset()
 }

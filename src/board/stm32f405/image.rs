@@ -35,7 +35,7 @@ const STEPS: [u32; 16] = {
     steps
 };
 /// Bytes that the linker may fill (`memory.x`).
-const MOST: u32 = 512 * 1024;
+const MAX: u32 = 512 * 1024;
 /// As the linker leaves it.
 const NONE: u32 = u32::MAX;
 
@@ -85,7 +85,7 @@ impl Image {
         }
         image.verdict = match stated() {
             (NONE, NONE) => Verdict::Unsealed,
-            (length, _) if length > MOST || length % 4 != 0 => Verdict::Damaged,
+            (length, _) if length > MAX || length % 4 != 0 => Verdict::Damaged,
             _ => Verdict::Whole,
         };
         image.begin();
@@ -115,7 +115,7 @@ impl Image {
         let own = addr_of!(CHECK) as u32;
         let stop = end.min(self.at + 4 * PIECE);
         let places = (self.at..stop).step_by(4).filter(|at| *at != own && *at != own + 4);
-        // SAFETY: words of the flash: `length` is at most [`MOST`].
+        // SAFETY: words of the flash: `length` is at most [`MAX`].
         let words = places.map(|at| unsafe { read_volatile(at as *const u32) });
         self.at = stop;
         self.feed(words);

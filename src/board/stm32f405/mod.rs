@@ -22,12 +22,11 @@ mod backup;
 mod brown_out;
 mod can;
 mod clocks;
+mod crash_record;
 mod crystal;
 mod flash;
 mod identity;
 mod image;
-mod lamp;
-mod last_words;
 mod linear_inputs;
 mod mpu;
 #[cfg(feature = "slots")]
@@ -46,6 +45,7 @@ mod service_switch;
 #[path = "../../bin/boot/flash.rs"]
 mod slot_flash;
 mod stack;
+mod status_led;
 mod stopwatch;
 mod store;
 mod thermometers;
@@ -61,13 +61,12 @@ use stm32f4xx_hal::{
 };
 
 use super::{Buffer, Faults, Parts, references, reset_ram};
-use crate::alive::{self, Task};
+use crate::liveness::{self, Task};
 pub use backup::Backup;
 pub use brown_out::BrownOut;
 pub use can::{CanIn, CanOut};
 use clocks::Source;
 pub use flash::Flash;
-pub use lamp::Lamp;
 #[cfg(feature = "slots")]
 pub use own_slot::OwnSlot;
 pub use rs485::{Rs485, Silence};
@@ -75,6 +74,7 @@ pub use sampling::Samples;
 pub use self_test::SelfTest;
 pub use serial::{SerialIn, SerialOut};
 pub use service_switch::ServiceSwitch;
+pub use status_led::Lamp;
 pub use store::Store;
 pub use thermometers::Thermometers;
 use trueup_core::thermometer::Thermometer;
@@ -248,20 +248,20 @@ pub fn start(
 
 /// Returns what is known of how the board came to run, before a task of this start leaves its own mark.
 fn start_of(reset: Reset) -> Start {
-    let last_words = last_words::take().filter(|_| reset != Reset::PowerOn);
+    let last_words = crash_record::take().filter(|_| reset != Reset::PowerOn);
     let reason = watchdog::reason(reset, last_words.as_ref());
     let stop = match &last_words {
         Some(words) => words.stop,
         // Nobody could leave a record: the one who ran is the one who hung.
-        None if reset == Reset::Watchdog => Stop { task: alive::mark(), ..Stop::default() },
+        None if reset == Reset::Watchdog => Stop { task: liveness::mark(), ..Stop::default() },
         None => Stop::default(),
     };
     if let Some(words) = &last_words {
-        words.say();
+        words.report();
     } else if stop.task != 0 {
         defmt::error!("the watchdog bit in task {=u8}", stop.task);
     }
-    alive::stay(Task::Start);
+    liveness::stay(Task::Start);
     Start { reason, stop, counts: resets::count(reason) }
 }
 
@@ -307,9 +307,9 @@ pub struct Idle;
 impl Idle {
     /// Sleeps until the next interrupt; timers, converter and DMA go on.
     pub fn run(&mut self) -> ! {
-        alive::stay(Task::Idle);
+        liveness::stay(Task::Idle);
         loop {
-            alive::beat(Task::Idle);
+            liveness::heartbeat(Task::Idle);
             cortex_m::asm::wfi();
         }
     }

@@ -13,7 +13,7 @@ use cortex_m::{asm, interrupt, peripheral::SCB};
 use cortex_m_rt::ExceptionFrame;
 
 use super::{
-    last_words::{self, Core, Why},
+    crash_record::{self, Core, StopReason},
     mpu,
 };
 
@@ -33,7 +33,7 @@ fn panic(info: &PanicInfo) -> ! {
     interrupt::disable();
     // A panic inside the logger would panic again here, for ever.
     if !PANICKED.swap(true, Ordering::Relaxed) {
-        last_words::leave(Why::Panic, Core::default(), info.location());
+        crash_record::leave(StopReason::Panic, Core::default(), info.location());
         // The place and not the words: these would bring the formatting of `core` into the image.
         if let Some(place) = info.location() {
             defmt::error!("panic at {=str}:{=u32}", place.file(), place.line());
@@ -62,12 +62,12 @@ unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
         _ => 0,
     };
     let why = if status & NOT_STACKED != 0 || mpu::GUARD.contains(&address) {
-        Why::StackOverflow
+        StopReason::StackOverflow
     } else {
-        Why::HardFault
+        StopReason::HardFault
     };
     // What was not stacked is not there.
     let (pc, lr) = if status & NOT_STACKED == 0 { (frame.pc(), frame.lr()) } else { (0, 0) };
-    last_words::leave(why, Core { pc, lr, status, address }, None);
+    crash_record::leave(why, Core { pc, lr, status, address }, None);
     SCB::sys_reset()
 }

@@ -19,7 +19,7 @@ use stm32f4xx_hal::{
     pac::{TIM5, USART3},
     rcc::{Enable, Rcc, Reset},
 };
-use trueup_modbus::rtu::{Heard, Timing};
+use trueup_modbus::rtu::{RxByte, Timing};
 
 use super::super::Plc;
 
@@ -100,7 +100,7 @@ pub struct Rs485 {
 impl Rs485 {
     /// Takes the byte that came in, with its time. While the board sends it ignores what comes in.
     #[allow(unsafe_code, reason = "a register of the timer")]
-    pub fn take(&mut self) -> Option<Heard> {
+    pub fn take(&mut self) -> Option<RxByte> {
         // Read in this order, they clear what is set.
         let status = self.usart.sr().read();
         if status.rxne().bit_is_clear() && status.ore().bit_is_clear() {
@@ -118,7 +118,7 @@ impl Rs485 {
             || status.fe().bit_is_set()
             || status.nf().bit_is_set()
             || status.ore().bit_is_set();
-        Some(Heard { at_us, byte: (!is_damaged).then_some(byte) })
+        Some(RxByte { at_us, byte: (!is_damaged).then_some(byte) })
     }
 
     /// Sends what `next` gives, a byte at a time.

@@ -4,8 +4,8 @@
 use stm32f4xx_hal::{pac::CRC, rcc::Rcc};
 
 use super::{
+    crash_record::{self, Core, StopReason},
     image::Image,
-    last_words::{self, Core, Why},
     ram_test,
     registers::Registers,
     restart,
@@ -43,7 +43,7 @@ impl SelfTest {
         if let Some(changed) = registers.changed() {
             defmt::error!("a register has changed: {}", changed);
             let core = Core { address: changed.address, ..Core::default() };
-            last_words::leave(Why::Registers, core, None);
+            crash_record::leave(StopReason::Registers, core, None);
             restart();
         }
     }

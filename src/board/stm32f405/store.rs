@@ -48,7 +48,7 @@ impl Store {
     /// Stores a calibration for the next start; `false`: it is not stored. `feed` is for the
     /// watchdog, which waits less long than this may take: 16 KB at 16 µs a word are 65 ms, 0.4 s at
     /// the most.
-    pub fn keep(&mut self, blob: &[u8], feed: impl FnMut()) -> bool {
+    pub fn store(&mut self, blob: &[u8], feed: impl FnMut()) -> bool {
         match self.0.store(blob, feed) {
             Ok(number) => {
                 defmt::info!("calibration {=u32} stored", number);

@@ -5,7 +5,7 @@ mod limit;
 
 use trueup_link::status::ResetReason;
 
-use super::last_words::{LastWords, Why};
+use super::crash_record::{CrashRecord, StopReason};
 use limit::Limit;
 use stm32f4xx_hal::pac::{DBGMCU, IWDG, RCC, iwdg::RegisterBlock};
 
@@ -48,15 +48,15 @@ pub fn last_reset(rcc: &RCC) -> Reset {
 
 /// Why the board started, as it reports it: a reset by software has several reasons, and a watchdog that bit
 /// while the board was ending itself is not the first of them.
-pub fn reason(reset: Reset, last_words: Option<&LastWords>) -> ResetReason {
+pub fn reason(reset: Reset, last_words: Option<&CrashRecord>) -> ResetReason {
     match (reset, last_words.map(|words| words.why)) {
         (Reset::PowerOn, _) => ResetReason::PowerOn,
         (Reset::BrownOut, _) => ResetReason::BrownOut,
-        (_, Some(Why::Panic)) => ResetReason::Panic,
-        (_, Some(Why::HardFault)) => ResetReason::HardFault,
-        (_, Some(Why::Crystal)) => ResetReason::Crystal,
-        (_, Some(Why::StackOverflow)) => ResetReason::StackOverflow,
-        (_, Some(Why::Registers)) => ResetReason::Registers,
+        (_, Some(StopReason::Panic)) => ResetReason::Panic,
+        (_, Some(StopReason::HardFault)) => ResetReason::HardFault,
+        (_, Some(StopReason::Crystal)) => ResetReason::Crystal,
+        (_, Some(StopReason::StackOverflow)) => ResetReason::StackOverflow,
+        (_, Some(StopReason::Registers)) => ResetReason::Registers,
         (Reset::Watchdog, None) => ResetReason::Watchdog,
         (Reset::Software, None) => ResetReason::Software,
         (Reset::Pin, None) => ResetReason::Pin,

@@ -1,6 +1,6 @@
 //! Parts that an emulated board does not need.
 
-use trueup_modbus::rtu::Heard;
+use trueup_modbus::rtu::RxByte;
 use trueup_store::retained::Copies;
 
 /// The host watches over its emulator.
@@ -22,7 +22,7 @@ impl Backup {
         None
     }
 
-    pub fn keep(&mut self, _copies: &mut Copies) {}
+    pub fn store(&mut self, _copies: &mut Copies) {}
 }
 
 /// An emulator has no supply.
@@ -52,7 +52,7 @@ impl SelfTest {
 pub struct Rs485;
 
 impl Rs485 {
-    pub fn take(&mut self) -> Option<Heard> {
+    pub fn take(&mut self) -> Option<RxByte> {
         None
     }
 

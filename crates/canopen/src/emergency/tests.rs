@@ -14,7 +14,7 @@ fn told(all: &mut Emergencies, now: Faults, ms: u32) -> Vec<(u16, u8, u8)> {
     let output = Output::default();
     let mut frames = Vec::new();
     for _ in 0..ms {
-        all.note(1, now);
+        all.update(1, now);
         frames.extend(all.next(now, &output));
     }
     let fields = |frame: &Frame| {

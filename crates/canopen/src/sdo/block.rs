@@ -98,7 +98,7 @@ impl Server {
     }
 
     /// Takes a segment of a block, or the end of all.
-    pub(super) fn hear_block(
+    pub(super) fn receive_block(
         &mut self,
         at: At,
         what: ObjectKind,

@@ -142,7 +142,7 @@ impl Upload {
     ///
     /// # Errors
     /// [`ClientError`]: the transfer is over.
-    pub fn hear(
+    pub fn receive(
         &mut self,
         frame: &Frame,
         bytes: &mut impl Extend<u8>,
@@ -244,11 +244,11 @@ impl<'d> Download<'d> {
         self.next.min(self.data.len())
     }
 
-    /// Takes a frame from the bus, as [`Upload::hear`].
+    /// Takes a frame from the bus, as [`Upload::receive`].
     ///
     /// # Errors
     /// [`ClientError`]: the transfer is over.
-    pub fn hear(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
+    pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
         let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
         let &[command, ..] = answer;
         match (command >> 5, self.is_answered) {
@@ -338,14 +338,14 @@ mod tests {
         let mut bytes = Vec::new();
         for answer in stale {
             let frame = Frame::full(SDO_ANSWER_ID, answer);
-            assert_eq!(upload.hear(&frame, &mut bytes), Ok(Progress::Unchanged));
-            assert_eq!(download.hear(&frame), Ok(Progress::Unchanged));
+            assert_eq!(upload.receive(&frame, &mut bytes), Ok(Progress::Unchanged));
+            assert_eq!(download.receive(&frame), Ok(Progress::Unchanged));
         }
         let answer = Frame::full(SDO_ANSWER_ID, initiated(0x4F, at, 3));
-        assert_eq!(upload.hear(&answer, &mut bytes), Ok(Progress::Done));
+        assert_eq!(upload.receive(&answer, &mut bytes), Ok(Progress::Done));
         assert_eq!(bytes, [3]);
         let answer = Frame::full(SDO_ANSWER_ID, initiated(0x60, at, 0));
-        assert_eq!(download.hear(&answer), Ok(Progress::Done));
+        assert_eq!(download.receive(&answer), Ok(Progress::Done));
     }
 
     #[test]
@@ -355,10 +355,10 @@ mod tests {
         let (mut upload, _) = Upload::start(at);
         let mut bytes = Vec::new();
         let started = frame(initiated(0x41, at, 7));
-        assert!(matches!(upload.hear(&started, &mut bytes), Ok(Progress::Ask(_))));
-        assert_eq!(upload.hear(&started, &mut bytes), Ok(Progress::Unchanged));
+        assert!(matches!(upload.receive(&started, &mut bytes), Ok(Progress::Ask(_))));
+        assert_eq!(upload.receive(&started, &mut bytes), Ok(Progress::Unchanged));
         let all = frame([0x01, 1, 2, 3, 4, 5, 6, 7]);
-        assert_eq!(upload.hear(&all, &mut bytes), Ok(Progress::Done));
+        assert_eq!(upload.receive(&all, &mut bytes), Ok(Progress::Done));
         assert_eq!(bytes, [1, 2, 3, 4, 5, 6, 7]);
     }
 
@@ -381,7 +381,7 @@ mod tests {
             let (mut upload, _) = Upload::start_at_most(at, most);
             let mut bytes = Vec::new();
             let command = if announced == 0 { 0x40 } else { 0x41 };
-            let mut last = upload.hear(&frame(initiated(command, at, announced)), &mut bytes);
+            let mut last = upload.receive(&frame(initiated(command, at, announced)), &mut bytes);
             for number in 0..segments {
                 if last.is_err() {
                     break;
@@ -389,7 +389,7 @@ mod tests {
                 let is_last = number + 1 == segments;
                 let toggle = u8::from(number % 2 == 1) << 4;
                 let head = toggle | (7 - length) << 1 | u8::from(is_last);
-                last = upload.hear(&frame([head, 1, 2, 3, 4, 5, 6, 7]), &mut bytes);
+                last = upload.receive(&frame([head, 1, 2, 3, 4, 5, 6, 7]), &mut bytes);
             }
             let what = match last {
                 Ok(Progress::Done) => "done",
@@ -413,8 +413,8 @@ mod tests {
             let mut bytes = Vec::new();
             for answer in &answers {
                 let frame = Frame::full(SDO_ANSWER_ID, *answer);
-                up.hear(&frame, &mut bytes).ok();
-                down.hear(&frame).ok();
+                up.receive(&frame, &mut bytes).ok();
+                down.receive(&frame).ok();
             }
             prop_assert!(bytes.len() <= 7 * answers.len());
             prop_assert!(down.sent() <= length);

@@ -15,7 +15,7 @@ pub(super) struct Fake {
     pub is_full: bool,
 }
 
-const MOST: usize = 600;
+const MAX: usize = 600;
 
 impl Objects for Fake {
     fn read(&self, what: ObjectKind) -> Result<ObjectValue<'_>, Abort> {
@@ -40,12 +40,12 @@ impl Objects for Fake {
 
     fn open(&mut self, _: ObjectKind, size: Option<u32>) -> Result<(), Abort> {
         self.domain.clear();
-        if size.is_some_and(|size| size as usize > MOST) { Err(Abort::TooLong) } else { Ok(()) }
+        if size.is_some_and(|size| size as usize > MAX) { Err(Abort::TooLong) } else { Ok(()) }
     }
 
     fn append(&mut self, _: ObjectKind, bytes: &[u8]) -> Result<(), Abort> {
         self.domain.extend(bytes);
-        if self.domain.len() > MOST { Err(Abort::TooLong) } else { Ok(()) }
+        if self.domain.len() > MAX { Err(Abort::TooLong) } else { Ok(()) }
     }
 
     fn is_ready(&self, _: ObjectKind) -> bool {
@@ -58,7 +58,7 @@ impl Objects for Fake {
 }
 
 fn ask(server: &mut Server, fake: &mut Fake, data: [u8; 8]) -> Option<[u8; 8]> {
-    let answer = server.hear(&Frame::new(SDO_REQUEST_ID, &data).unwrap(), fake)?;
+    let answer = server.receive(&Frame::new(SDO_REQUEST_ID, &data).unwrap(), fake)?;
     assert_eq!(answer.id(), SDO_ANSWER_ID);
     Some(*answer.data())
 }
@@ -205,7 +205,7 @@ fn a_length_that_is_not_the_announced_one_is_refused() {
     let (mut server, mut fake) = (Server::default(), Fake::default());
     let answer = write(&mut server, &mut fake, (0x1017, 0), None, &[1; 3]);
     assert_eq!((answer, &fake.written[..]), (refused(0x1017, 0, Abort::Length), &[][..]));
-    let unannounced = write(&mut server, &mut fake, (0x2100, 2), None, &[1; MOST + 1]);
+    let unannounced = write(&mut server, &mut fake, (0x2100, 2), None, &[1; MAX + 1]);
     assert_eq!(unannounced, refused(0x2100, 2, Abort::TooLong));
 }
 
@@ -246,7 +246,7 @@ fn a_silent_master_is_told_and_one_that_aborts_is_not_answered() {
     assert_eq!(after, refused(0, 0, Abort::Command));
     for short in 0..8 {
         let request = Frame::new(SDO_REQUEST_ID, &[0x40; 8][..short]).unwrap();
-        assert_eq!(server.hear(&request, &mut fake), None);
+        assert_eq!(server.receive(&request, &mut fake), None);
     }
 }
 
@@ -272,8 +272,8 @@ proptest! {
         let mut has_block = false;
         for (request, len) in requests {
             let frame = Frame::new(SDO_REQUEST_ID, &request[..len.min(8)]).unwrap();
-            let answer = server.hear(&frame, &mut fake);
-            prop_assert!(fake.domain.len() <= MOST + 7);
+            let answer = server.receive(&frame, &mut fake);
+            prop_assert!(fake.domain.len() <= MAX + 7);
             if let Some(answer) = answer {
                 prop_assert_eq!((answer.id(), answer.len()), (SDO_ANSWER_ID, 8));
                 let (asked, kind) = (request[0] >> 5, answer.data()[0] >> 5);
@@ -287,7 +287,7 @@ proptest! {
 
     #[test]
     fn a_domain_of_any_length_comes_back_as_it_was_sent(
-        bytes in prop::collection::vec(any::<u8>(), 1..=MOST), announce: bool,
+        bytes in prop::collection::vec(any::<u8>(), 1..=MAX), announce: bool,
     ) {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let announced = announce.then_some(u32::try_from(bytes.len()).expect("a short one"));

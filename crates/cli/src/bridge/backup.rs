@@ -26,12 +26,12 @@ use trueup_store::calibration::decode;
 
 use super::{
     Port,
-    load::{How, Loaded, agreed, put},
+    load::{LoadMode, Loaded, agreed, put},
 };
 use crate::{Outcome, UserError, files, output, report};
 
 /// No save file has more: a calibration of 16 KiB, twice in hexadecimal digits, and a log.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 
 #[derive(Args)]
 pub struct Save {
@@ -53,7 +53,7 @@ pub struct Restore {
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
-    how: How,
+    how: LoadMode,
 }
 
 /// Writes all that the bridge holds to a file.
@@ -112,7 +112,7 @@ fn other_content(file: &Path, owner: &Owner) -> Option<String> {
     if output::is_standard_output(file) || !fs::metadata(file).is_ok_and(|it| it.is_file()) {
         return None;
     }
-    let text = files::text(file, MOST_BYTES).unwrap_or_else(|_| "?".into());
+    let text = files::text(file, MAX_BYTES).unwrap_or_else(|_| "?".into());
     if text.is_empty() {
         return None;
     }
@@ -134,7 +134,7 @@ pub struct Restored {
 }
 
 impl Restored {
-    fn is_met(&self, how: How) -> bool {
+    fn is_met(&self, how: LoadMode) -> bool {
         self.loaded.is_met(how) && !matches!(self.reference, Some(Err(_)))
     }
 }
@@ -142,12 +142,12 @@ impl Restored {
 /// Reads a file that `save` wrote.
 pub fn read(file: &Path) -> Result<SavedBoard, UserError> {
     let bad = |rule: String| UserError(format!("{}: {rule}", file.display()));
-    let text = files::text(file, MOST_BYTES)?;
+    let text = files::text(file, MAX_BYTES)?;
     SavedBoard::parse(&text).map_err(bad)
 }
 
 /// Loads the calibration, and offers the reference.
-pub fn put_back(session: &mut Session, saved: &SavedBoard, how: How) -> Result<Restored> {
+pub fn put_back(session: &mut Session, saved: &SavedBoard, how: LoadMode) -> Result<Restored> {
     let mut loaded = put(session, &saved.calibration, how)?;
     let runs = !how.keep_running && loaded.running == loaded.crc;
     // It belongs to the calibration that it was taken with.

@@ -56,7 +56,7 @@ struct Info {
 }
 
 impl Info {
-    fn hear(&mut self, event: &Event) {
+    fn receive(&mut self, event: &Event) {
         match event {
             Event::Other(line) => {
                 let text = || String::from_utf8_lossy(line).into_owned();
@@ -268,7 +268,7 @@ pub fn run(args: &Ask, as_json: bool) -> Result<Outcome> {
     let mut info = Info::default();
     while !info.is_complete(has_adapter) {
         let Some(event) = session.next_event(deadline)? else { break };
-        info.hear(&event);
+        info.receive(&event);
     }
     // An adapter in between may say something else of itself, or nothing: what counts is that frames come.
     let is_silent = info.heartbeat.is_none() && info.output.is_none();

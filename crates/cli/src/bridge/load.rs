@@ -29,7 +29,7 @@ use trueup_machine::{
 use trueup_store::calibration::{decode, identity, whole};
 
 use super::{Port, asks::Asks, who};
-use crate::{Outcome, UserError, files, output, report, show::MOST_BYTES};
+use crate::{Outcome, UserError, files, output, report, show::MAX_BYTES};
 
 #[derive(Args)]
 pub struct Load {
@@ -42,12 +42,12 @@ pub struct Load {
     #[command(flatten)]
     port: Port,
     #[command(flatten)]
-    how: How,
+    how: LoadMode,
 }
 
 /// How a calibration is put to use.
 #[derive(Args, Clone, Copy)]
-pub struct How {
+pub struct LoadMode {
     /// Load without asking: for scripts.
     #[arg(long)]
     pub yes: bool,
@@ -56,7 +56,7 @@ pub struct How {
     pub keep_running: bool,
 }
 
-impl How {
+impl LoadMode {
     /// Checks that the user can be asked, or need not be.
     pub fn can_ask(self, as_json: bool) -> Result<(), UserError> {
         if self.yes || !as_json && stdin().is_terminal() {
@@ -84,7 +84,7 @@ pub struct Loaded {
 
 impl Loaded {
     /// The board runs on it, or is not to yet, and works for its machine.
-    pub fn is_met(&self, how: How) -> bool {
+    pub fn is_met(&self, how: LoadMode) -> bool {
         how.keep_running || self.running == self.crc && !self.asks.is_foreign()
     }
 }
@@ -144,7 +144,7 @@ pub fn run(args: &Load, as_json: bool) -> Result<Outcome> {
 /// Reads the calibration in a file, without what follows it.
 fn read(path: &Path) -> Result<Vec<u8>> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let bytes = files::bytes(path, MOST_BYTES)?;
+    let bytes = files::bytes(path, MAX_BYTES)?;
     let calibration = decode(&bytes).map_err(|error| bad(error.to_string()))?;
     let machine = inverse(&calibration);
     files::refuse_or_warn(&path.display().to_string(), &ranges(&machine))?;
@@ -187,7 +187,7 @@ fn keep_previous(session: &mut Session, replaced: &[u8], by: u32) {
 }
 
 /// Shows what `blob` changes, asks, and loads it; unless `keep_running`, the board then restarts with it.
-pub fn put(session: &mut Session, blob: &[u8], how: How) -> Result<Loaded> {
+pub fn put(session: &mut Session, blob: &[u8], how: LoadMode) -> Result<Loaded> {
     let crc = identity(blob);
     check_at_rest(session)?;
     who::compare_builds(session)?;

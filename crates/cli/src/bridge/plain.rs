@@ -73,15 +73,15 @@ pub fn run(
         let line_end = line_start + PERIOD;
         match &mut session {
             Some(open) => {
-                let heard = listen(open, line_end, &mut tally, recorder.as_mut(), &calibration);
-                match (heard, &recorder) {
+                let received = listen(open, line_end, &mut tally, recorder.as_mut(), &calibration);
+                match (received, &recorder) {
                     (Err(error), Some(_)) if error.is::<LineLost>() => {
                         trueup_output::diagnostic(format_args!(
                             "{error:#}: it is opened again, and the recording goes on with a gap"
                         ));
                         session = None;
                     }
-                    (heard, _) => heard?,
+                    (received, _) => received?,
                 }
             }
             None => {
@@ -150,9 +150,9 @@ fn listen(
         other => other,
     };
     while let Some(event) = next(session)? {
-        tally.hear(&event);
+        tally.receive(&event);
         if let (Some(recorder), Event::Frame(frame)) = (&mut recorder, &event) {
-            recorder.hear(frame, SystemTime::now())?;
+            recorder.receive(frame, SystemTime::now())?;
             // It may have been given another one.
             if frames::decode_heartbeat(frame) == Ok(State::BootUp) {
                 recorder.runs(calibration.ask(session)?);
@@ -248,11 +248,11 @@ struct Second {
 }
 
 impl Tally {
-    fn hear(&mut self, event: &Event) {
+    fn receive(&mut self, event: &Event) {
         match event {
             Event::Frame(frame) => {
                 self.frames += 1;
-                self.board.hear(frame);
+                self.board.receive(frame);
                 // What is refused is counted in `offsets`.
                 if let Ok(Some(output)) = self.offsets.accept(frame) {
                     self.output = Some(output);

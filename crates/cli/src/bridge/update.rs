@@ -21,7 +21,7 @@ use trueup_client::{
 use super::{
     Port,
     asks::Asks,
-    load::{How, agreed, check_at_rest},
+    load::{LoadMode, agreed, check_at_rest},
     who,
 };
 use crate::{Outcome, UserError, files, output};
@@ -58,7 +58,7 @@ pub fn run(args: &Update, as_json: bool) -> Result<Outcome> {
     // What counts is what becomes of the board.
     trueup_output::best_effort();
     let file = read(&args.file)?;
-    let how = How { yes: args.yes, keep_running: args.keep_running };
+    let how = LoadMode { yes: args.yes, keep_running: args.keep_running };
     how.can_ask(as_json)?;
     let port = Line::parse(&args.port.port)?;
     ctrlc::set_handler(|| IS_INTERRUPTED.store(true, Ordering::Relaxed))
@@ -100,7 +100,7 @@ fn in_words(error: anyhow::Error) -> anyhow::Error {
 fn update<'f>(
     session: &mut Session,
     file: &'f FirmwareFile,
-    how: How,
+    how: LoadMode,
 ) -> Result<(&'f SlotFirmware, Updated)> {
     firmware::clear(session)?;
     check_at_rest(session)?;
@@ -153,7 +153,7 @@ fn update<'f>(
 }
 
 impl Updated {
-    fn json(&self, firmware: &SlotFirmware, how: How) -> serde_json::Value {
+    fn json(&self, firmware: &SlotFirmware, how: LoadMode) -> serde_json::Value {
         let header = firmware.image.header;
         let [before, now] = &self.slots;
         json!({
@@ -169,7 +169,7 @@ impl Updated {
         })
     }
 
-    fn print(&self, firmware: &SlotFirmware, how: How) -> Result<()> {
+    fn print(&self, firmware: &SlotFirmware, how: LoadMode) -> Result<()> {
         let header = firmware.image.header;
         let (version, slot) = (header.version, header.slot.name());
         let resumed = match self.stored.resumed_from {

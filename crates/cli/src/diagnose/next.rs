@@ -15,7 +15,7 @@ use super::{Diagnose, Input};
 use crate::{
     commands,
     output::{self, FileSet},
-    program::For,
+    program::Controller,
     report,
 };
 
@@ -82,7 +82,7 @@ fn line(args: &Diagnose) -> String {
 pub fn write(
     diagnosis: &Diagnosis,
     machine: &Machine,
-    control: For,
+    control: Controller,
     args: &Diagnose,
     as_json: bool,
 ) -> Result<()> {

@@ -243,11 +243,11 @@ pub struct Pitch {
     pub step_mm: Option<f64>,
     /// One table, or one for each direction.
     #[arg(long, default_value = "automatic")]
-    pub ways: Ways,
+    pub ways: TableMode,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum Ways {
+pub enum TableMode {
     /// The choice that gains on repeats left out.
     Automatic,
     /// One table, and also a backlash if that gains.
@@ -275,14 +275,14 @@ pub struct Elongation {
     pub common: Common,
     /// By which the growth is known; left out, the machine file's source, else the run's columns.
     #[arg(long)]
-    pub source: Option<By>,
+    pub source: Option<WarmupSource>,
     /// The temperature that explains it.
     #[arg(long, value_name = "temp_<name>_c")]
     pub temperature: Option<String>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
-pub enum By {
+pub enum WarmupSource {
     /// The displacement sensor.
     Sensor,
     /// A temperature of the run.

@@ -11,7 +11,7 @@ use trueup_machine::{RunFile, file::Quantity};
 use crate::{UserError, files};
 
 /// The record has the last hours: some megabytes.
-const MOST_BYTES: u64 = 64 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 
 /// A record that is older belongs to another moment: `trueup linuxcnc --record` writes a row every two seconds.
 const OLDEST_S: f64 = 60.0;
@@ -27,7 +27,7 @@ pub fn with_reading(
     now: SystemTime,
 ) -> Result<RunFile> {
     let bad = |rule: String| UserError(format!("{}: {rule}", path.display()));
-    let text = files::text(path, MOST_BYTES)?;
+    let text = files::text(path, MAX_BYTES)?;
     let measured = quantity.unwrap_or(Quantity::Elongation).name();
     let mut lines = text.lines();
     let header = lines.next().unwrap_or_default();

@@ -36,7 +36,7 @@ const UM_PER_MM: f64 = 1e3;
 
 /// Where offsets enter LinuxCNC.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum By {
+pub enum OffsetEntry {
     /// As external offsets of the axes: the planner gives them a share of speed and acceleration.
     #[default]
     Eoffset,
@@ -44,11 +44,11 @@ pub enum By {
     Joint,
 }
 
-impl From<By> for Entry {
-    fn from(by: By) -> Self {
+impl From<OffsetEntry> for Entry {
+    fn from(by: OffsetEntry) -> Self {
         match by {
-            By::Eoffset => Self::Eoffset,
-            By::Joint => Self::Joint,
+            OffsetEntry::Eoffset => Self::Eoffset,
+            OffsetEntry::Joint => Self::Joint,
         }
     }
 }
@@ -88,7 +88,7 @@ pub struct Check {
     ini: PathBuf,
     /// Where offsets enter. Without this as it is set up, else at the joint.
     #[arg(long, value_enum)]
-    by: Option<By>,
+    by: Option<OffsetEntry>,
     /// The machine file that the bridge is loaded with: largest offset, slew limit, what it corrects.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -108,7 +108,7 @@ pub struct Setup {
     remove: bool,
     /// Where offsets enter. Without this as it is set up, else at the joint.
     #[arg(long, value_enum)]
-    by: Option<By>,
+    by: Option<OffsetEntry>,
     /// The machine file that the bridge is loaded with.
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
@@ -148,7 +148,7 @@ impl Configuration {
     }
 
     /// Where offsets enter, if the user does not say.
-    fn entry(&self, by: Option<By>) -> Entry {
+    fn entry(&self, by: Option<OffsetEntry>) -> Entry {
         let here = self.installed.as_ref().map(|it| it.entry);
         let by_hand = || installed::by_hand(&self.ini, &self.hal).map(|it| it.1);
         by.map(Entry::from).or(here).or_else(by_hand).unwrap_or(Entry::Joint)
@@ -157,7 +157,7 @@ impl Configuration {
     /// Returns what is asked of the offsets: without a board if the user says so, or if it is set up so.
     fn demand(
         &self,
-        by: Option<By>,
+        by: Option<OffsetEntry>,
         no_board: bool,
         machine: Option<&(String, Machine)>,
     ) -> Result<Demand> {

@@ -30,7 +30,7 @@ fn json_lines(text: &str) -> Vec<serde_json::Value> {
 
 #[test]
 fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
-    let (port, heard) = bridge(Fault::None);
+    let (port, received) = bridge(Fault::None);
     let (out, _) = monitor(&port, "2 --json", 0);
     let lines = json_lines(&out);
     assert_eq!(lines.len(), 2);
@@ -52,9 +52,9 @@ fn the_monitor_tells_the_offsets_once_a_second_and_sends_no_frame() {
     assert_eq!(lines[1]["offset_um"][0], 0.0);
     assert_eq!(lines[1]["flags"], serde_json::json!([]));
 
-    let heard = heard.lock().expect("no holder panics");
-    assert_eq!(heard.frames, 0, "a monitor must not take part");
-    assert_eq!(heard.bytes, b"\rC\rS8\rZ0\rO\rC\r", "it opens, listens and closes");
+    let received = received.lock().expect("no holder panics");
+    assert_eq!(received.frames, 0, "a monitor must not take part");
+    assert_eq!(received.bytes, b"\rC\rS8\rZ0\rO\rC\r", "it opens, listens and closes");
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn a_line_that_is_silent_or_breaks_is_told() {
 
 #[test]
 fn info_tells_version_serial_number_and_state() {
-    let (port, heard) = bridge(Fault::None);
+    let (port, received) = bridge(Fault::None);
     let (out, _) = said(&format!("bridge info --port {port}"), 0);
     assert!(
         out.starts_with(
@@ -118,7 +118,7 @@ fn info_tells_version_serial_number_and_state() {
     ] {
         assert!(out.contains(line), "{line}: {out}");
     }
-    assert!(heard.lock().expect("no holder panics").frames > 8, "it has asked");
+    assert!(received.lock().expect("no holder panics").frames > 8, "it has asked");
 
     let (port, _) = bridge(Fault::None);
     let (out, _) = said(&format!("--json bridge info --port {port}"), 0);
@@ -134,9 +134,9 @@ fn a_request_that_is_lost_on_the_line_is_asked_for_again() {
     // A start, and a segment of the calibration.
     for lost in [1, 20] {
         let desk = Desk::new(&[]);
-        let (port, heard) = bridge_with(Fault::Loses(lost), false);
+        let (port, received) = bridge_with(Fault::Loses(lost), false);
         desk.said(&format!("bridge save saved.json --port {port}"), 0);
-        assert!(heard.lock().expect("no holder panics").frames > lost);
+        assert!(received.lock().expect("no holder panics").frames > lost);
         let saved: serde_json::Value =
             serde_json::from_str(&desk.text("saved.json")).expect("JSON");
         let bytes = paper().blob().iter().map(|byte| format!("{byte:02x}")).collect::<String>();
@@ -183,12 +183,12 @@ fn a_serial_device_is_monitored_like_a_port() {
     let device = theirs.name().expect("a pseudo terminal has a name");
     // The tool wants the device for itself.
     drop(theirs);
-    let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
-    let told = heard.clone();
+    let received = Arc::new(Mutex::new(ReceivedBytes::default()));
+    let told = received.clone();
     thread::spawn(move || live(Tty(ours), Fault::None, || true, &told));
     let (out, _) = monitor(&device, "1 --json", 0);
     assert_eq!(json_lines(&out)[0]["quality_word"], "live");
-    assert_eq!(heard.lock().expect("no holder panics").frames, 0);
+    assert_eq!(received.lock().expect("no holder panics").frames, 0);
 }
 
 /// Returns a folder with another calibration, `cal.bin`, and its CRC.
@@ -254,13 +254,13 @@ fn the_calibration_that_a_load_has_replaced_is_loaded_again() {
 #[test]
 fn offsets_are_taken_back_where_no_cnc_commands_and_only_there() {
     // A CNC that is engaged, on its own line.
-    let (port, heard) = bridge_many(Fault::None, true);
+    let (port, received) = bridge_many(Fault::None, true);
     monitor(&port, "1", 0);
-    let before = heard.lock().expect("no holder panics").bytes.len();
+    let before = received.lock().expect("no holder panics").bytes.len();
     let (out, err) = said(&format!("bridge disengage --port {port}"), 3);
     assert_eq!(out, "");
     assert!(err.contains("a CNC commands this bridge and follows its offset, x +0.00"), "{err}");
-    let sent = heard.lock().expect("no holder panics").bytes[before..].to_vec();
+    let sent = received.lock().expect("no holder panics").bytes[before..].to_vec();
     let control = sent.windows(4).any(|bytes| bytes == b"t302");
     assert!(!control, "it must not speak as a CNC: {}", sent.escape_ascii());
 
@@ -302,7 +302,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
     let mut bytes = paper().blob().to_vec();
     bytes[100] ^= 1;
     desk.write("damaged.bin", bytes);
-    let (port, heard) = bridge_with(Fault::None, false);
+    let (port, received) = bridge_with(Fault::None, false);
     for (file, phrase) in [
         ("garbage.bin", "garbage.bin: "),
         ("damaged.bin", "damaged.bin: "),
@@ -312,7 +312,7 @@ fn what_must_not_or_cannot_be_loaded_is_told_and_nothing_changes() {
         assert_eq!(out, "", "{err}");
         assert!(err.contains(phrase), "{err}");
     }
-    assert_eq!(heard.lock().expect("no holder panics").bytes, b"");
+    assert_eq!(received.lock().expect("no holder panics").bytes, b"");
 }
 
 #[test]

@@ -54,13 +54,13 @@ fn is_ended(code: Option<i32>) -> bool {
 #[test]
 fn without_a_machine_file_it_reads_the_boards_own_calibration() {
     let desk = Desk::new(&[]);
-    let (port, heard) = bridge_many(Fault::None, true);
+    let (port, received) = bridge_many(Fault::None, true);
     let mut terminal =
         Terminal::start(&desk, &format!("bridge monitor --port {port}"), (80, 24), false);
     terminal.shows(&["paper, calibration ", "727.50 codes", "spindle growth"]);
     terminal.press("\u{3}");
     assert!(is_ended(terminal.ended().code()), "Ctrl-C");
-    assert!(heard.lock().expect("no holder panics").frames > 0, "it has asked");
+    assert!(received.lock().expect("no holder panics").frames > 0, "it has asked");
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::desk::Desk;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_twin::hidden::{Challenge, Hidden, draw};
+use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 const WARMUP: &str = include_str!("../../../../data/scenario-warmup.toml");
 const AXIS: &str = include_str!("../../../../data/scenario-axis.toml");
@@ -66,7 +66,7 @@ fn what_is_wrong_with_a_scenario_is_told_with_its_place_and_nothing_is_written()
 }
 
 /// Returns the largest difference between what the twin and the host's model make of a machine file.
-fn largest_difference_um(challenge: &Challenge) -> f64 {
+fn largest_difference_um(challenge: &TestCase) -> f64 {
     let machine = MachineFile::parse(&challenge.machine, Path::new("m.toml"))
         .unwrap_or_else(|bad| panic!("{bad}\n{}", challenge.machine));
     let quantity = ["elongation", "dx", "dy", "dz"]

@@ -84,7 +84,7 @@ fn a_calibration_that_corrects_nothing_is_told_before_it_is_loaded() {
 fn load_tells_what_changes_and_asks() {
     let desk = desk();
     // Without a terminal nobody can be asked, and nothing reaches the bridge.
-    let (port, heard) = bridge_many(Fault::None, false);
+    let (port, received) = bridge_many(Fault::None, false);
     let (out, err) = desk.said(&format!("bridge load other.bin --port {port}"), 2);
     assert!(out.is_empty() && err.contains("with --yes it is loaded without"), "{err}");
     for (answer, code, phrase) in [
@@ -99,7 +99,7 @@ fn load_tells_what_changes_and_asks() {
         terminal.shows(&[phrase]);
         assert_eq!(terminal.ended().code(), Some(code), "{}", terminal.text());
     }
-    assert!(heard.lock().expect("no holder panics").frames > 0);
+    assert!(received.lock().expect("no holder panics").frames > 0);
     let (_, err) = desk.said(&format!("bridge load other.bin --yes --port {port}"), 0);
     assert!(err.contains("the bridge runs on the same laws already"), "{err}");
 }
@@ -171,11 +171,11 @@ const SMALL: &str = r#""reference": {"elongation_nm": 30000, "x_nm": 0, "y_nm": 
 #[test]
 fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
     let desk = desk();
-    let (port, heard) = bridge_many(Fault::None, false);
+    let (port, received) = bridge_many(Fault::None, false);
     desk.said(&format!("bridge save board.json --port {port}"), 0);
     let whole = desk.text("board.json");
     let crc = format!("{:08x}", paper().crc());
-    let before = heard.lock().expect("no holder panics").frames;
+    let before = received.lock().expect("no holder panics").frames;
     for (damaged, phrase) in [
         (whole.replace("trueup-bridge-1", "else"), "is not what bridge save writes"),
         (whole.replace(&crc, "00000000"), "the calibration is not the one of its CRC"),
@@ -194,7 +194,7 @@ fn a_saved_file_that_is_damaged_is_refused_before_anything_is_sent() {
         let (out, err) = desk.said(&format!("bridge restore damaged.json --yes --port {port}"), 2);
         assert!(out.is_empty() && err.contains(phrase), "{phrase}: {err}");
     }
-    assert_eq!(heard.lock().expect("no holder panics").frames, before);
+    assert_eq!(received.lock().expect("no holder panics").frames, before);
 }
 
 #[test]

@@ -3,12 +3,12 @@
 //! Each has a zero of its own, so what is compared is how far they have grown since both were there for the
 //! first time. They differ, where one is wrong, in proportion to the growth; so a model no longer fits if it is
 //! off by more than half of the larger growth: then more than half of what it corrects is made up. Below
-//! [`LEAST_NM`] nothing is said, and not before it has lasted for [`LASTS_STEPS`].
+//! [`MIN_NM`] nothing is said, and not before it has lasted for [`LASTS_STEPS`].
 
 use crate::{calibration::ElongationSource, units::Nanometres};
 
 /// The paper's own sensor law is off by 15.2 µm of 62.8 and is called sufficient.
-pub const LEAST_NM: u32 = 15_000;
+pub const MIN_NM: u32 = 15_000;
 /// A minute, in steps of the heat: what lags by less is no fault of a calibration.
 pub const LASTS_STEPS: u16 = 600;
 
@@ -46,7 +46,7 @@ impl Agreement {
             let other_grown = i64::from(other_now.0).wrapping_sub(other_then.0.into());
             let off = grown.abs_diff(other_grown);
             let larger = grown.unsigned_abs().max(other_grown.unsigned_abs());
-            is_off |= off > LEAST_NM.into() && off > larger / 2;
+            is_off |= off > MIN_NM.into() && off > larger / 2;
         }
         self.off_steps = if is_off { self.off_steps.saturating_add(1) } else { 0 };
     }
@@ -65,7 +65,7 @@ mod tests {
 
     const STEPS_PER_HOUR: u32 = 36_000;
     /// A spindle that warms up grows by up to this much, in nm.
-    const MOST_NM: f64 = 80_000.0;
+    const MAX_NM: f64 = 80_000.0;
     /// How slowly what a model leaves wanders, in steps: ten minutes.
     const WANDER_STEPS: f64 = 6_000.0;
 
@@ -81,7 +81,7 @@ mod tests {
         for step in 0..hours * STEPS_PER_HOUR {
             // Every few minutes another speed, every few hours another start.
             if uniform() < 1.0 / 9_000.0 {
-                target_nm = if uniform() < 0.4 { 0.0 } else { MOST_NM * uniform() };
+                target_nm = if uniform() < 0.4 { 0.0 } else { MAX_NM * uniform() };
                 steps_of_growth = 10.0 * (300.0 + 1_500.0 * uniform());
             }
             if step == 0 || uniform() < 1.0 / 72_000.0 {
@@ -102,7 +102,7 @@ mod tests {
     /// At most this many an hour: each takes a minute in which the model, less what it was off by at the start, is off
     /// by more than is said nothing of; the growth's share lets it come nearer by that of 30 µm.
     fn most_an_hour(share: f64, wander_nm: f64) -> f64 {
-        let rest_nm = f64::from(LEAST_NM) * (1.0 - 2.0 * share.abs());
+        let rest_nm = f64::from(MIN_NM) * (1.0 - 2.0 * share.abs());
         let sigmas = rest_nm / (2_f64.sqrt() * wander_nm);
         // Mills: both tails of a normal number lie below this.
         let tails = (2.0 / core::f64::consts::PI).sqrt() * (-sigmas * sigmas / 2.0).exp() / sigmas;

@@ -5,14 +5,14 @@ use crate::units::MicroDegrees;
 
 impl Bridge<'_> {
     /// Takes angles from the CNC. The direction and the errors are computed when they have changed.
-    pub(super) fn hear_angles(&self, state: &mut State, angles: [MicroDegrees; 2]) {
+    pub(super) fn receive_angles(&self, state: &mut State, angles: [MicroDegrees; 2]) {
         let kinematics = &self.calibration.kinematics;
         let direction = match state.tool.latest() {
             Some((known, direction)) if known == angles => direction,
             _ if self.needs.rotary => kinematics.direction(angles),
             _ => kinematics.zero,
         };
-        state.hear_angles(angles, direction);
+        state.receive_angles(angles, direction);
         if self.needs.volume_angles && state.place.angles != angles {
             state.place.angles = angles;
             self.update(state, |errors, _, place| errors.turned(&self.calibration, place));

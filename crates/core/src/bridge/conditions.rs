@@ -11,7 +11,7 @@
 //!
 //! They come rarely, so they may be four times as old as `Control`. Changes go through the slew limit.
 
-use super::{Bridge, State, state::HeardConditions};
+use super::{Bridge, State, state::ReceivedConditions};
 use crate::cnc::Conditions;
 
 /// They may be this many times as old as the CNC's sign of life.
@@ -19,13 +19,13 @@ pub const CONDITIONS_TIMEOUTS: u32 = 4;
 
 impl Bridge<'_> {
     /// Takes a message.
-    pub(super) fn hear_conditions(&self, state: &mut State, conditions: Conditions) {
+    pub(super) fn receive_conditions(&self, state: &mut State, conditions: Conditions) {
         if !self.needs.conditions {
             return;
         }
-        let heard = &mut state.conditions;
-        let is_new = heard.by_default || heard.last != Some(conditions);
-        *heard = HeardConditions { last: Some(conditions), age_ms: 0, by_default: false };
+        let received = &mut state.conditions;
+        let is_new = received.by_default || received.last != Some(conditions);
+        *received = ReceivedConditions { last: Some(conditions), age_ms: 0, by_default: false };
         if is_new {
             self.select_category(state, Some(conditions));
         }
@@ -45,7 +45,7 @@ impl Bridge<'_> {
 
     #[inline]
     fn awaits_no_conditions(&self, state: &mut State, elapsed_ms: u32) -> bool {
-        state.conditions.grow_older(elapsed_ms);
+        state.conditions.advance_ages(elapsed_ms);
         if self.conditions_are_lost(state) {
             return self.goes_by_defaults(state);
         }

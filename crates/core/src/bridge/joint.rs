@@ -55,7 +55,7 @@ pub(super) struct Joint {
 
 /// The part of a joint that outlasts a reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct KeptJoint {
+pub struct RetainedJoint {
     /// The source that was used last.
     pub source: ElongationSource,
     /// The shift added to its elongation.

@@ -16,7 +16,7 @@
 use super::{
     Bridge, State,
     agreement::Past,
-    joint::{BEFORE_STEPS, Joint, KeptJoint, SelectedSource},
+    joint::{BEFORE_STEPS, Joint, RetainedJoint, SelectedSource},
 };
 use crate::{
     bridge::state::{Reference, SAMPLES_TIMEOUT_MS, STARVED_MS},
@@ -39,14 +39,14 @@ const MILLISECONDS_PER_SECOND: u32 = 1_000;
 impl State {
     /// Returns the source that was used last and its shift, once the elongation goes on.
     #[must_use]
-    pub fn kept_joint(&self) -> Option<KeptJoint> {
+    pub fn retained_joint(&self) -> Option<RetainedJoint> {
         let Joint { last, shift, is_anchored, .. } = self.joint;
-        last.filter(|_| is_anchored).map(|source| KeptJoint { source, shift })
+        last.filter(|_| is_anchored).map(|source| RetainedJoint { source, shift })
     }
 
     /// Goes on from where it was before a reset.
-    pub fn resume_joint(&mut self, kept: KeptJoint) {
-        let KeptJoint { source, shift } = kept;
+    pub fn resume_joint(&mut self, kept: RetainedJoint) {
+        let RetainedJoint { source, shift } = kept;
         self.joint = Joint {
             last: Some(source),
             shift,
@@ -109,7 +109,7 @@ impl Bridge<'_> {
                     Nanometres::saturating(sum)
                 };
                 // A source that is still there, and only gives way, is right to the last.
-                let stays = self.is_fresh(state, last) && self.is_told(state, last);
+                let stays = self.is_fresh(state, last) && self.is_available(state, last);
                 let oldest = state.joint.before.into_iter().flatten().next();
                 let (joins_at, said) = match oldest.filter(|_| !stays) {
                     // Where the two were at that time: it tells how the spindle has grown since.
@@ -142,7 +142,7 @@ impl Bridge<'_> {
             let now = Past { elongation: self.elongation(state), raw };
             // A thermometer that says nothing new may be about to be given up: what the spindle grows
             // meanwhile the next source is to tell.
-            if self.is_told(state, source) {
+            if self.is_available(state, source) {
                 let [_, second, third, last] = state.joint.before;
                 state.joint.before = [second, third, last, Some(now)];
             }
@@ -200,7 +200,7 @@ impl Bridge<'_> {
     /// Returns the first source that is fresh; without one the spindle's temperature, if it is held.
     #[inline(never)]
     fn first_fresh(&self, state: &State) -> SelectedSource {
-        match self.first_that_is_told(state) {
+        match self.first_available(state) {
             SelectedSource::Missing
                 if self.temperature_is_held(state)
                     && self
@@ -216,7 +216,7 @@ impl Bridge<'_> {
         }
     }
 
-    fn first_that_is_told(&self, state: &State) -> SelectedSource {
+    fn first_available(&self, state: &State) -> SelectedSource {
         let mut chosen = SelectedSource::Unneeded;
         for source in self.calibration.spindle.chain.into_iter().flatten() {
             if self.is_fresh(state, source) && self.has_zero(state, source) {
@@ -254,7 +254,7 @@ impl Bridge<'_> {
     }
 
     /// Returns whether what a source says is of this step of the heat.
-    fn is_told(&self, state: &State, source: ElongationSource) -> bool {
+    fn is_available(&self, state: &State, source: ElongationSource) -> bool {
         let temperature = &self.calibration.spindle.temperature;
         source != ElongationSource::Temperature
             || temperature.is_none_or(|it| state.channels.is_current(it.channel))

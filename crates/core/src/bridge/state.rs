@@ -49,11 +49,11 @@ pub struct State {
     pub(super) health: Health,
     pub(super) filter: Filter,
     pub(super) run_out: RunOut,
-    pub(super) control: Heard<Control>,
-    pub(super) spindle: Heard<Spindle>,
-    pub(super) conditions: HeardConditions,
+    pub(super) control: Received<Control>,
+    pub(super) spindle: Received<Spindle>,
+    pub(super) conditions: ReceivedConditions,
     /// The angles of the head, and where they point the tool.
-    pub(super) tool: Heard<([MicroDegrees; 2], Direction)>,
+    pub(super) tool: Received<([MicroDegrees; 2], Direction)>,
     pub(super) place: Place,
     pub(super) position_age: [Age; 3],
     /// Axes, and as the fourth the angles, that were somewhere else in the frame before.
@@ -86,7 +86,7 @@ pub struct State {
     live_age: Option<Age>,
     pub(super) applied: Applied,
     /// Nothing is followed, and nothing is available.
-    pub(super) barred: bool,
+    pub(super) inhibited: bool,
     /// By what readings of the converter are multiplied.
     scale: Scale,
     /// The converter's supply is not believed, and nothing that is measured by it.
@@ -131,18 +131,18 @@ impl Age {
 
 /// The last message of a kind, with its age.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Heard<T> {
+pub(super) struct Received<T> {
     value: Option<T>,
     age: Age,
 }
 
-impl<T> Default for Heard<T> {
+impl<T> Default for Received<T> {
     fn default() -> Self {
         Self { value: None, age: Age::default() }
     }
 }
 
-impl<T: Copy> Heard<T> {
+impl<T: Copy> Received<T> {
     /// Returns what it says, until it is too old.
     pub fn value(&self, timeout_ms: u32) -> Option<T> {
         if self.age.is_above(timeout_ms) { None } else { self.value }
@@ -153,14 +153,14 @@ impl<T: Copy> Heard<T> {
         self.value
     }
 
-    pub fn hear(&mut self, value: T) {
+    pub fn receive(&mut self, value: T) {
         *self = Self { value: Some(value), age: Age::NEW };
     }
 }
 
 /// The tool and conditions last received, and their age.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct HeardConditions {
+pub(super) struct ReceivedConditions {
     pub last: Option<Conditions>,
     /// Milliseconds since the last message, at first since the start; stays at its largest value.
     pub age_ms: u32,
@@ -168,8 +168,8 @@ pub(super) struct HeardConditions {
     pub by_default: bool,
 }
 
-impl HeardConditions {
-    pub fn grow_older(&mut self, elapsed_ms: u32) {
+impl ReceivedConditions {
+    pub fn advance_ages(&mut self, elapsed_ms: u32) {
         self.age_ms = self.age_ms.saturating_add(elapsed_ms);
     }
 }
@@ -269,8 +269,8 @@ impl State {
 
     /// Bars the offset, or gives it free: while it is barred it goes to 0, and is not available
     /// from then on.
-    pub fn bar(&mut self, barred: bool) {
-        self.barred = barred;
+    pub fn inhibit(&mut self, inhibited: bool) {
+        self.inhibited = inhibited;
     }
 
     /// Returns the noise of the raw codes since the last call.
@@ -281,13 +281,13 @@ impl State {
     /// Returns whether the sensor shows something that no spindle does: a jump, or another run-out at the same
     /// speed.
     #[must_use]
-    pub fn sensor_is_odd(&self) -> bool {
-        self.health.has_jumped() || self.run_out.is_odd()
+    pub fn sensor_is_anomalous(&self) -> bool {
+        self.health.has_jumped() || self.run_out.is_anomalous()
     }
 
     /// Takes a position; whether the axis has moved or turned round. One that is not believed moves nothing, and the
     /// last that was grows old.
-    pub(super) fn hear_position(&mut self, heard: AxisPosition, axis: &AxisModel<'_>) -> bool {
+    pub(super) fn receive_position(&mut self, heard: AxisPosition, axis: &AxisModel<'_>) -> bool {
         let number = heard.axis as usize;
         let (Some(position), Some(travel), Some(age), Some(moving), Some(said)) = (
             self.place.position.get_mut(number),
@@ -318,10 +318,10 @@ impl State {
     }
 
     /// Takes the angles of the head, and where they point the tool.
-    pub(super) fn hear_angles(&mut self, angles: [MicroDegrees; 2], direction: Direction) {
+    pub(super) fn receive_angles(&mut self, angles: [MicroDegrees; 2], direction: Direction) {
         let [.., moving] = &mut self.moving;
         *moving = self.tool.latest().is_some_and(|(before, _)| before != angles);
-        self.tool.hear((angles, direction));
+        self.tool.receive((angles, direction));
     }
 
     /// Returns the age of the oldest position or angle of what moves.
@@ -333,7 +333,7 @@ impl State {
         self.moving.into_iter().zip(ages).map(of_moving).fold(Age::NEW, Age::max)
     }
 
-    pub(super) fn grow_older(&mut self, elapsed_ms: u32) {
+    pub(super) fn advance_ages(&mut self, elapsed_ms: u32) {
         self.control.age.grow(elapsed_ms);
         self.spindle.age.grow(elapsed_ms);
         self.tool.age.grow(elapsed_ms);
@@ -372,8 +372,8 @@ impl State {
 
     /// Decides where the offset goes, and remembers when it was last live.
     pub(super) fn mode(&mut self, control: Option<Control>, fresh: bool, hold_ms: u32) -> Mode {
-        let is_free = |control: Control| control.engage && control.referenced && !self.barred;
-        if self.barred || control.is_some_and(|control| !is_free(control)) {
+        let is_free = |control: Control| control.engage && control.referenced && !self.inhibited;
+        if self.inhibited || control.is_some_and(|control| !is_free(control)) {
             self.live_age = None;
         } else if control.is_some() && fresh {
             self.live_age = Some(Age::NEW);

@@ -51,7 +51,7 @@ impl Rig {
     }
 
     fn control(&mut self, control: Control) {
-        self.bridge.hear(&mut self.state, Command::Control(control));
+        self.bridge.receive(&mut self.state, Command::Control(control));
     }
 
     fn tick(&mut self, codes: Option<[Code; CODES_PER_TICK]>) -> Output {
@@ -270,7 +270,7 @@ fn without_a_speed_the_window_is_200_ms_and_it_says_so() {
 fn the_speed_of_the_cnc_wins_while_it_is_fresh() {
     let mut rig = Rig::new(calibration());
     let spindle = Spindle { speed: Rpm(60_000), load_n: 0 };
-    rig.bridge.hear(&mut rig.state, Command::Spindle(spindle));
+    rig.bridge.receive(&mut rig.state, Command::Spindle(spindle));
     for ms in 1..=3 {
         let codes = core::array::from_fn(|n| Code(1000 + (n % 2) as u16));
         rig.bridge.tick(
@@ -316,7 +316,7 @@ fn expanding() -> Calibration<'static> {
 fn warm(rig: &mut Rig, ms: u32, kelvin: Option<i32>, x_mm: i32) -> Output {
     for _ in 0..ms {
         rig.control(ENGAGED);
-        rig.bridge.hear(
+        rig.bridge.receive(
             &mut rig.state,
             Command::Position(AxisPosition {
                 axis: LinearAxis::X,
@@ -406,9 +406,9 @@ fn an_axis_that_is_not_square_errs_along_the_other_where_it_goes() {
         for _ in 0..100 {
             rig.control(ENGAGED);
             let position = Position(y_mm * Position::PER_MILLIMETRE);
-            let heard =
+            let received =
                 AxisPosition { axis: LinearAxis::Y, position, direction: Heading::Positive };
-            rig.bridge.hear(&mut rig.state, Command::Position(heard));
+            rig.bridge.receive(&mut rig.state, Command::Position(received));
             rig.tick(None);
         }
         assert_eq!(rig.last.offset, Some([Nanometres(x_nm), Nanometres(0), Nanometres(0)]));
@@ -424,7 +424,7 @@ fn a_tilted_head_takes_growth_to_both_axes() {
     assert_eq!(rig.run_engaged(200, 1050).quality, Quality::Off);
     for _ in 0..300 {
         let angles = [MicroDegrees(30_000_000), MicroDegrees(0)];
-        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
         rig.run_engaged(1, 1100);
     }
     // 102.4 µm along (0, 0.5, −0.866): error (0, 51.2, −88.681), offset its opposite.

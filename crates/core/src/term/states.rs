@@ -4,7 +4,7 @@ use crate::{
     cnc::Conditions,
     dimensions::{CHANNELS, MAX_TERMS},
     fixed::Scaled,
-    heat_memory::{HeatMemory, KeptLag, Key},
+    heat_memory::{HeatMemory, Key, RetainedLag},
     lag::{Lag, SmoothingFactor},
     set::IndexSet,
     term::{
@@ -195,13 +195,13 @@ impl TermStates {
     pub fn keep(&self, terms: &Terms<'_>, memory: &mut HeatMemory) {
         for (lag, key) in self.lags.iter().zip(keys(terms)) {
             if let (Some(lag), Some(key)) = (*lag, key) {
-                memory.keep(KeptLag { key, lag, running_ms: 0 });
+                memory.keep(RetainedLag { key, lag, running_ms: 0 });
             }
         }
     }
 
     /// Goes on from before a reset.
-    pub fn resume(&mut self, terms: &Terms<'_>, mut find: impl FnMut(Key) -> Option<KeptLag>) {
+    pub fn resume(&mut self, terms: &Terms<'_>, mut find: impl FnMut(Key) -> Option<RetainedLag>) {
         for (lag, key) in self.lags.iter_mut().zip(keys(terms)) {
             *lag = key.and_then(&mut find).map(|kept| kept.lag);
         }

@@ -82,7 +82,7 @@ fn heat_follows_its_lag_and_time_its_own() {
     let heated = heat_terms(&terms);
     assert!(!states.knows(heated));
     let mut temperatures = [None; CHANNELS];
-    let mut heat_up = |temperatures: &_| {
+    let mut step_thermal = |temperatures: &_| {
         states.step(&terms, 0, temperatures, None, true);
         states.step(&terms, 1, temperatures, None, true);
         let (errors, _) = axis_errors(&terms, &states, &Place::default());
@@ -92,13 +92,13 @@ fn heat_follows_its_lag_and_time_its_own() {
     let near = |got: (f64, f64), wanted: (f64, f64)| {
         assert!((got.0 - wanted.0).abs() < 1e-5 && (got.1 - wanted.1).abs() < 1e-5, "{got:?}");
     };
-    near(heat_up(&temperatures), (0.0, 2.0));
+    near(step_thermal(&temperatures), (0.0, 2.0));
     temperatures[2] = Some(Temperature(27 * Temperature::PER_KELVIN));
-    near(heat_up(&temperatures), (-6.0, 3.5));
+    near(step_thermal(&temperatures), (-6.0, 3.5));
     temperatures[2] = Some(Temperature(31 * Temperature::PER_KELVIN));
-    near(heat_up(&temperatures), (-9.0, 4.625));
+    near(step_thermal(&temperatures), (-9.0, 4.625));
     temperatures[2] = None;
-    near(heat_up(&temperatures), (-9.0, 8.0 * (1.0 - 0.75_f64.powi(4))));
+    near(step_thermal(&temperatures), (-9.0, 8.0 * (1.0 - 0.75_f64.powi(4))));
     assert!(states.knows(heated));
 }
 

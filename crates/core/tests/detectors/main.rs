@@ -119,9 +119,9 @@ fn false_alarms(noise: f64, hours: f64, seed: u64) -> u64 {
         let is_well = health.check(&block, sensor.turns).is_some();
         match sensor.speed() {
             Rpm(0) => run_out.stop(),
-            speed => run_out.hear(&block, sensor.reading(), speed),
+            speed => run_out.receive(&block, sensor.reading(), speed),
         }
-        let is_odd = health.has_jumped() || run_out.is_odd();
+        let is_odd = health.has_jumped() || run_out.is_anomalous();
         // A quiet sensor is not believed until its first change, which is no alarm.
         if was_well && !is_well || is_odd && !was_odd {
             println!("noise {noise}, seed {seed}: an alarm at {ms} ms");
@@ -324,8 +324,8 @@ fn found_run_outs(draws: u32, seed: u64) -> u32 {
         let mut lives = |sensor: &mut Sensor, windows: u32, until_odd: bool| {
             (0..windows * u32::from(WINDOW_MS)).any(|_| {
                 let block = sensor.block();
-                run_out.hear(&block, sensor.reading(), sensor.speed());
-                until_odd && run_out.is_odd()
+                run_out.receive(&block, sensor.reading(), sensor.speed());
+                until_odd && run_out.is_anomalous()
             })
         };
         lives(&mut sensor, u32::from(FAMILY_WINDOWS) + 1, false);

@@ -22,7 +22,7 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
         let mut channel = Channel::default();
         for _ in 0..10 {
             let reading = micro_ohms(celsius + 0.03 * random.normal());
-            channel.hear(Thermometer::Pt100.read(reading).ok());
+            channel.receive(Thermometer::Pt100.read(reading).ok());
             assert!(!channel.is_faulty());
         }
         // A wire that is off, a short circuit, a converter that does not answer: anywhere beyond −65…408 °C.
@@ -32,7 +32,7 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
             _ => Raw::NONE,
         };
         let readings = (1..=10).find(|_| {
-            channel.hear(Thermometer::Pt100.read(dead).ok());
+            channel.receive(Thermometer::Pt100.read(dead).ok());
             channel.is_faulty()
         });
         assert_eq!(readings, Some(4), "{dead:?}");
@@ -42,11 +42,12 @@ fn three_thousand_dead_thermometers_are_found_at_the_fourth_reading_and_none_bef
 /// Returns how often a channel is bad, for `readings` readings a tenth of a second apart.
 fn bad_readings(readings: impl Iterator<Item = f64>) -> usize {
     let mut channels = Channels::default();
-    let heard = readings.map(|celsius| {
-        channels.hear(0, Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32)));
+    let received = readings.map(|celsius| {
+        channels
+            .receive(0, Some(Temperature((celsius * f64::from(Temperature::PER_KELVIN)) as i32)));
         channels.is_current(0)
     });
-    heard.filter(|is_good| !is_good).count()
+    received.filter(|is_good| !is_good).count()
 }
 
 #[test]
@@ -61,24 +62,24 @@ fn three_thousand_thermometers_that_jump_are_found_at_the_fourth_reading_and_sou
     for draw in 0..3_000 {
         let by = beyond();
         let mut channel = Channel::default();
-        (0..10).for_each(|_| channel.hear(step(40.0)));
+        (0..10).for_each(|_| channel.receive(step(40.0)));
         // Three are sparks.
-        (0..draw % 4).for_each(|_| channel.hear(step(40.0 + by)));
+        (0..draw % 4).for_each(|_| channel.receive(step(40.0 + by)));
         assert_eq!(channel.temperature(), step(40.0), "after {} of {by} K", draw % 4);
-        channel.hear(step(40.0));
+        channel.receive(step(40.0));
         // One that stays is reported, and then taken for what it is.
-        let mut heard = |_: &u32| {
-            channel.hear(step(40.0 + by));
+        let mut received = |_: &u32| {
+            channel.receive(step(40.0 + by));
             channel.is_faulty()
         };
-        assert_eq!((1..=10).find(&mut heard), Some(4), "{by} K");
-        assert_eq!((5..=10).find(|it| !heard(it)), Some(7), "{by} K");
+        assert_eq!((1..=10).find(&mut received), Some(4), "{by} K");
+        assert_eq!((5..=10).find(|it| !received(it)), Some(7), "{by} K");
         // Any that do not agree are no temperature.
         let mut wild = Channel::default();
-        (0..10).for_each(|_| wild.hear(step(40.0)));
+        (0..10).for_each(|_| wild.receive(step(40.0)));
         for reading in 1..=40 {
             let now = if reading % 2 == 0 { 40.0 + by } else { 40.0 - by };
-            wild.hear(step(now));
+            wild.receive(step(now));
             assert_eq!(wild.is_faulty(), reading >= 4);
         }
     }
@@ -100,8 +101,8 @@ fn a_thermometer_whose_first_results_are_none_or_unsettled_is_believed_at_the_fi
     for first in [&[][..], &[None], &[None, None, None], &[None, step(-40)], &[step(300), step(90)]]
     {
         let mut channel = Channel::default();
-        first.iter().for_each(|it| channel.hear(*it));
-        channel.hear(step(20));
+        first.iter().for_each(|it| channel.receive(*it));
+        channel.receive(step(20));
         assert!(!channel.is_faulty() && channel.temperature() == step(20), "after {first:?}");
     }
 }
@@ -124,7 +125,7 @@ fn three_thousand_steps_and_ramps_that_no_mass_can_make_are_found_and_none_is_be
         let mut channel = Channel::default();
         let mut read = |channel: &mut Channel, celsius: f64| {
             let reading = (celsius + noise * random.normal()) * f64::from(Temperature::PER_KELVIN);
-            channel.hear_within(Ok(Temperature(reading as i32)), &limit, false);
+            channel.receive_within(Ok(Temperature(reading as i32)), &limit, false);
             channel.is_in_doubt()
         };
         (0..100).for_each(|_| _ = read(&mut channel, 40.0));
@@ -170,7 +171,7 @@ impl Thermometers {
                 *last = exact.round() * STEP_C;
             }
             let reading = *last * f64::from(Temperature::PER_KELVIN);
-            channels.hear_within(number, Ok(Temperature(reading as i32)), &default_limit());
+            channels.receive_within(number, Ok(Temperature(reading as i32)), &default_limit());
         }
     }
 }

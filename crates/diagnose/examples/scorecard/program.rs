@@ -5,12 +5,12 @@
 use std::{fs, path::Path, process::Command, process::ExitCode};
 
 use serde_json::Value;
-use trueup_twin::hidden::{Challenge, Expected, Hidden, PAIRS, draw, draw_pair};
+use trueup_twin::hidden::{Expected, Hidden, PAIRS, TestCase, draw, draw_pair};
 
 use crate::{
     asked,
     compare::{Draw, Draws},
-    score::{Named, Told},
+    score::{Answered, Named},
     spread_over_cores,
 };
 
@@ -28,7 +28,7 @@ pub fn run(words: &[String]) -> ExitCode {
         |name: &str| asked.wanted.is_empty() || asked.wanted.iter().any(|it| it == name);
     let seeds = asked.first..asked.first + asked.seeds;
     let (mut draws, mut are_all_answered) = (Draws::default(), true);
-    let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> Challenge + Sync)| {
+    let mut of_cell = |ratio: f64, name: &str, drawn: &(dyn Fn(u64) -> TestCase + Sync)| {
         if !is_wanted(name) {
             return;
         }
@@ -87,7 +87,7 @@ fn columns(finding: &Value) -> Vec<String> {
 }
 
 /// Returns what `program` says of the files of `challenge`.
-fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
+fn answered(program: &Path, challenge: &TestCase) -> Result<Answered, String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let put = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -111,5 +111,5 @@ fn answered(program: &Path, challenge: &Challenge) -> Result<Told, String> {
         is_claimed: finding["claimed"] == true,
         partners: each(&finding["together_with"]).iter().map(|it| text(&it["cause"])).collect(),
     });
-    Ok(Told { verdict: text(&said["verdict"]), findings: findings.collect() })
+    Ok(Answered { verdict: text(&said["verdict"]), findings: findings.collect() })
 }

@@ -7,7 +7,7 @@
 use std::{ops::Range, path::Path, process::ExitCode};
 
 use trueup_machine::MachineFile;
-use trueup_twin::hidden::Challenge;
+use trueup_twin::hidden::TestCase;
 
 use crate::{
     known, row,
@@ -83,7 +83,7 @@ fn others(row: &Row) -> String {
 }
 
 /// Returns the answers to the draws of `seeds`; the reader's complaint where the file cannot have that term.
-fn answers(seeds: Range<u64>, drawn: &(dyn Fn(u64) -> Challenge + Sync)) -> Result<Row, String> {
+fn answers(seeds: Range<u64>, drawn: &(dyn Fn(u64) -> TestCase + Sync)) -> Result<Row, String> {
     let first = drawn(seeds.start);
     MachineFile::parse(&first.machine, Path::new("machine.toml")).map_err(|bad| bad.to_string())?;
     Ok(row(seeds, &|seed| {

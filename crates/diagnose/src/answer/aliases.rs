@@ -2,14 +2,14 @@
 
 use trueup_machine::effect::Nonlinear;
 
-use crate::{answer::range::extent, fit::Problem, judge::Doubt, kind::Part};
+use crate::{answer::range::extent, fit::Problem, judge::Caveat, kind::Part};
 
 /// Places over two periods of the shortest wave, a quarter of it apart.
 const PLACES: i32 = 9;
 
 /// Returns what decides between the first value of `part` and its aliases, if `doubt` is of these.
-pub(super) fn aliases_decided(problem: &Problem, part: &Part, doubt: &Doubt) -> Option<String> {
-    let Doubt::Alias(others) = doubt else { return None };
+pub(super) fn aliases_decided(problem: &Problem, part: &Part, doubt: &Caveat) -> Option<String> {
+    let Caveat::Alias(others) = doubt else { return None };
     let own = part.values[0];
     match part.kind.nonlinear().first()? {
         Nonlinear::Period => {

@@ -17,7 +17,7 @@ use std::borrow::Cow;
 use serde_json::{Map, json};
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    applied::{self, Applied, Factor, Unaided, decisive_record},
+    applied::{self, Applied, Factor, Uncompensated, decisive_record},
     file::Quantity,
 };
 use trueup_numerics::blocks::rms;
@@ -74,8 +74,9 @@ impl Bridge {
         quantity: Quantity,
         is_once: bool,
     ) -> Result<Self, BadInput> {
-        let unaided = |run| Ok(Unaided::of(Cow::Borrowed(run), Some(machine), Some(quantity))?.0);
-        let all: Vec<Unaided<'_>> =
+        let unaided =
+            |run| Ok(Uncompensated::of(Cow::Borrowed(run), Some(machine), Some(quantity))?.0);
+        let all: Vec<Uncompensated<'_>> =
             runs.iter().chain(holdout).map(unaided).collect::<Result<_, _>>()?;
         let offset_um = all.iter().take(runs.len()).flat_map(|run| {
             let none = || vec![0.0; run.rows()];

@@ -31,11 +31,11 @@ use crate::{
 };
 
 /// This many rows of a day are looked at: a mean square of as many that are independent is known to 1 %.
-const MOST_ROWS: usize = 20_000;
+const MAX_ROWS: usize = 20_000;
 /// Noise is drawn into the inputs until there are this many rows of it, but not more often than
-/// [`MOST_DRAWS`]: the root of its mean square is known to 2 % then.
+/// [`MAX_DRAWS`]: the root of its mean square is known to 2 % then.
 const ENOUGH_ROWS: usize = 2_000;
-const MOST_DRAWS: usize = 4;
+const MAX_DRAWS: usize = 4;
 
 /// The model that a promise is computed from, and its uncertainty.
 #[derive(Clone, Debug)]
@@ -79,7 +79,7 @@ impl Grounds {
     /// # Errors
     /// A column is missing.
     pub(super) fn on_table(&self, table: &Arc<Data>, runs: &[RunFile]) -> Result<AtTool, BadInput> {
-        let step = table.rows.div_ceil(MOST_ROWS);
+        let step = table.rows.div_ceil(MAX_ROWS);
         let data = if step > 1 {
             let mask: Vec<bool> = (0..table.rows).map(|row| row % step == 0).collect();
             Arc::new(table.subset(&mask))
@@ -103,7 +103,7 @@ impl Grounds {
     /// Mean square of what the noise of the inputs changes, in µm²: with the file as it is, and extended. It is
     /// the same all day, and is drawn for the first rows of each run alone.
     fn noise(&self, table: &Data, runs: &[RunFile]) -> Result<[f64; 2], BadInput> {
-        let most = MOST_ROWS.div_ceil(runs.len());
+        let most = MAX_ROWS.div_ceil(runs.len());
         // Where it was read does not matter.
         let read = |name: &str, values: &mut [f64]| {
             if name.starts_with("measured_") {
@@ -114,7 +114,7 @@ impl Grounds {
         let data = day(table, &first)?;
         let models = [&Model::default(), &self.model];
         let as_it_was = models.map(|it| it.predict(&data));
-        let draws = (ENOUGH_ROWS / data.rows).clamp(1, MOST_DRAWS);
+        let draws = (ENOUGH_ROWS / data.rows).clamp(1, MAX_DRAWS);
         let mut noise = [0.0; 2];
         let mut generator = Generator::new(1);
         for _ in 0..draws {

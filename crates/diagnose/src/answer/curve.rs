@@ -18,7 +18,7 @@ use crate::{
 /// Points drawn between two neighbouring places: a wave of that length still looks like one.
 const BETWEEN: usize = 20;
 /// A picture does not show more.
-const MOST_POINTS: usize = 1500;
+const MAX_POINTS: usize = 1500;
 
 /// The errors by a model over an axis, approached from one side.
 pub(super) struct Curve {
@@ -103,7 +103,7 @@ fn places(position_mm: &[f64]) -> Vec<f64> {
     let mut places: Vec<f64> = position_mm.iter().copied().filter(|mm| mm.is_finite()).collect();
     places.sort_unstable_by(f64::total_cmp);
     places.dedup_by(|a, b| *a - *b < 1e-3);
-    let between = (MOST_POINTS / places.len().max(1)).clamp(1, BETWEEN);
+    let between = (MAX_POINTS / places.len().max(1)).clamp(1, BETWEEN);
     let mut all: Vec<f64> = places
         .windows(2)
         .flat_map(|pair| {

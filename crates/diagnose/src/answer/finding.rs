@@ -18,7 +18,7 @@ use crate::{
     data::Data,
     fit::Problem,
     gain::Gain,
-    judge::{Doubt, Judgement, table::BetweenPoints},
+    judge::{Caveat, Judgement, table::BetweenPoints},
     kind::{Kind, Part},
     outliers::Aside,
     parameters::Estimates,
@@ -62,7 +62,7 @@ pub(crate) fn finding(problem: &Problem, it: &Judgement, left_out: Unit) -> Find
     };
     let next_test = cause.with_repair(next_test);
     let same = it.doubts.iter().filter_map(|doubt| match doubt {
-        Doubt::OnePass(other) => {
+        Caveat::OnePass(other) => {
             Some(Rival { cause: (*other).into(), column: None, form: None, score_gap: 0.0 })
         }
         _ => None,
@@ -121,7 +121,7 @@ pub(super) fn merged(judged: &[Judgement], all: Vec<Finding>) -> Vec<Finding> {
     let mut findings: Vec<(&Judgement, Finding)> = Vec::new();
     for (it, finding) in judged.iter().zip(all) {
         let holds = |there: &&mut (&Judgement, Finding)| {
-            it.doubts.iter().any(|doubt| *doubt == Doubt::OnlyTogether(there.0.cause().clone()))
+            it.doubts.iter().any(|doubt| *doubt == Caveat::OnlyTogether(there.0.cause().clone()))
         };
         match findings.iter_mut().find(holds) {
             Some((_, first)) => {
@@ -256,94 +256,94 @@ fn named(cause: &Kind) -> String {
 /// Returns the name of the rival that cannot be distinguished from the cause.
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
-        Doubt::Rival(rival) => Some(rival.name()),
-        Doubt::OnePass(other) => Some(other),
+        Caveat::Rival(rival) => Some(rival.name()),
+        Caveat::OnePass(other) => Some(other),
         _ => None,
     })
 }
 
 /// Returns a doubt in a sentence.
-fn doubted(doubt: &Doubt, gain: &Gain, left_out: Unit) -> String {
+fn doubted(doubt: &Caveat, gain: &Gain, left_out: Unit) -> String {
     match doubt {
-        Doubt::Rival(rival) => format!("{} explains these data as well.", named(rival)),
-        Doubt::NotIdentified => format!(
+        Caveat::Rival(rival) => format!("{} explains these data as well.", named(rival)),
+        Caveat::NotIdentified => format!(
             "It is not yet identified by these data: fitted to all {} RMS are left, on \
              left-out {left_out} {}.",
             micrometres(gain.rms_after_um),
             micrometres(gain.left_out_after_um)
         ),
-        Doubt::MayBeNothing => {
+        Caveat::MayBeNothing => {
             "It may as well be nothing: the interval of its size holds that.".into()
         }
-        Doubt::AtTheEnd => {
+        Caveat::AtTheEnd => {
             "One of its values is where the search for it ends: the best may lie beyond.".into()
         }
-        Doubt::SlowerThanRecord => {
+        Caveat::SlowerThanRecord => {
             "It is slower than the record is long: where it ends has not been seen.".into()
         }
-        Doubt::StartOf(late) => format!(
+        Caveat::StartOf(late) => format!(
             "It settles as fast as {} does: the machine may not have been at rest when the record began.",
             named(late)
         ),
-        Doubt::FormOf(law) => format!(
+        Caveat::FormOf(law) => format!(
             "It may only make up for the form of {}: a part is behind its thermometer by a lag of the first \
              order only nearly, and was not at rest when the record began.",
             named(law)
         ),
-        Doubt::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
-        Doubt::MayGainNothing => format!(
+        Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
+        Caveat::MayGainNothing => format!(
             "It may as well gain nothing on left-out {left_out}: the interval of its gain holds that."
         ),
-        Doubt::DoesNotGoOn => {
+        Caveat::DoesNotGoOn => {
             "It does not foresee the end of the record: something else may wander."
                 .into()
         }
-        Doubt::OnlySmooths => {
+        Caveat::OnlySmooths => {
             "Its thermometer smoothed as much, and not late, foresees as well: it may only smooth the \
              noise of the thermometer."
                 .into()
         }
-        Doubt::BesideTable(table) => format!(
+        Caveat::BesideTable(table) => format!(
             "It goes with the position, as {} does: the machine may be as uneven between the points of that table.",
             named(table)
         ),
-        Doubt::OnlyTogether(other) => format!(
+        Caveat::OnlyTogether(other) => format!(
             "It is only certain together with {}: neither of the two stands alone.",
             named(other)
         ),
-        Doubt::HangsOn(open) => format!(
+        Caveat::HangsOn(open) => format!(
             "It hangs on an open question: {} is not settled, and with another answer to it this may not be \
              needed.",
             named(open)
         ),
-        Doubt::HalvesDiffer([first, second]) => format!(
+        Caveat::HalvesDiffer([first, second]) => format!(
             "The first half of the record says {}, the second {}: more apart than the two are uncertain.",
             five_digits(*first),
             five_digits(*second)
         ),
-        Doubt::Alias(values) => {
+        Caveat::Alias(values) => {
             let values: Vec<String> = values.iter().map(|value| five_digits(*value)).collect();
             format!("It does as well at {}: these data cannot tell.", values.join(", "))
         }
-        Doubt::OtherLaw(inputs) => format!(
+        Caveat::OtherLaw(inputs) => format!(
             "Something that goes with {inputs} explains clearly more in its place: the cause is \
              near it, but another one."
         ),
-        Doubt::LawAsWell(inputs) => {
+        Caveat::LawAsWell(inputs) => {
             format!("Something that goes with {inputs} explains these data as well.")
         }
-        Doubt::NotNeeded => {
+        Caveat::NotNeeded => {
             "What has no name yet, and is still left, explains this part as well.".into()
         }
-        Doubt::OnePass(other) => format!(
+        Caveat::OnePass(other) => format!(
             "The position only grew with the time: {other} would look the same."
         ),
-        Doubt::NotRepeated => {
+        Caveat::NotRepeated => {
             "Its repeats do not bear it out: a cycle is not foreseen by the others, or chance would make \
              the places differ as much."
                 .into()
         }
-        Doubt::BesideOtherLaw => {
+        Caveat::BesideOtherLaw => {
             "It is only needed beside a term that stands for another law.".into()
         }
     }

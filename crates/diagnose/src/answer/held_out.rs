@@ -36,7 +36,7 @@ use crate::{
     fit::{Problem, fit},
     kind::Part,
     model::Model,
-    predict::{Foreseen, later_from},
+    predict::{Predicted, later_from},
 };
 
 /// One-sided: the share of days on which the floor is kept.
@@ -56,7 +56,7 @@ pub(super) struct LeftOutParts<'p> {
     /// The terms of the board, as they are fitted.
     pub model: &'p Model,
     /// Residuals of parts that took no part in the choice of the terms; none: the values alone are fitted again.
-    pub foreseen: Option<&'p Foreseen>,
+    pub foreseen: Option<&'p Predicted>,
     /// Mean square that the groups of the problem average away, in µm².
     pub within: f64,
 }

@@ -9,7 +9,7 @@ use crate::{
     answer::{
         Diagnosis,
         pictures::{against_inputs, predicted_and_left},
-        report::{Finding, LeftOut, Report, Verdict, floor_and_expected},
+        report::{Finding, HeldOutParts, Report, Verdict, floor_and_expected},
     },
 };
 
@@ -168,7 +168,8 @@ fn verdict(diagnosis: &Diagnosis, next: &[String], out: &mut String) {
         .filter(not_in)
         .map(|finding| {
             let column = finding.column.as_ref().map_or(String::new(), |it| format!(" {it}"));
-            let dropped = |it: &&LeftOut| it.cause == finding.cause && it.column == finding.column;
+            let dropped =
+                |it: &&HeldOutParts| it.cause == finding.cause && it.column == finding.column;
             let why = match (report.left_out.iter().find(dropped), finding.claimed) {
                 (Some(_), _) => "the hold-out becomes worse by it",
                 (None, true) => "a board cannot, or must not, correct it",

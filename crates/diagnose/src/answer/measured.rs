@@ -21,12 +21,12 @@ use crate::{
 
 /// A term does at most this many times what was measured: two terms of which each explains all and the other
 /// takes it back.
-const MOST_TIMES: f64 = 2.0;
+const MAX_TIMES: f64 = 2.0;
 /// A prediction in a state that was not measured leaves the measured range by at most this many times its
 /// width.
 const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
-const LEAST_UM: f64 = 1.0;
+const MIN_UM: f64 = 1.0;
 
 /// Returns the values of a machine file that no machine can have.
 fn impossible(machine: &Machine) -> Vec<Finding> {
@@ -68,7 +68,7 @@ impl<'m> Measured<'m> {
             machine,
             quantity: data.quantity,
             ranges: recorded(data, runs),
-            largest_um: about(&problem.measured).max(about(&left)).max(LEAST_UM),
+            largest_um: about(&problem.measured).max(about(&left)).max(MIN_UM),
             range_um,
             is_refused: envelope::excess(machine).is_some(),
             impossible: impossible(machine).into_iter().map(|it| it.key).collect(),
@@ -84,7 +84,7 @@ impl<'m> Measured<'m> {
             .map(|part| (self.size_um(problem, model, &part.kind), &part.kind))
             .max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (um, kind) = (largest.0, largest.1.clone());
-        if um > MOST_TIMES * self.largest_um {
+        if um > MAX_TIMES * self.largest_um {
             return Some((kind, NotWritten::TooLarge { um, measured_um: self.largest_um }));
         }
         let machine = extended_by(&problem.data, model);
@@ -128,7 +128,7 @@ impl<'m> Measured<'m> {
             .map(|state| state.um[number])
             .filter(|um| um.is_finite())
             .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
-        let margin_um = MARGIN * (self.range_um[1] - self.range_um[0]).max(LEAST_UM);
+        let margin_um = MARGIN * (self.range_um[1] - self.range_um[0]).max(MIN_UM);
         let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
         let worst = states(extended, &self.ranges)
             .into_iter()

@@ -65,7 +65,7 @@ use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::Power;
 use predicted::{Choice, is_settled};
-use report::{After, Before, Finding, LeftOut, Rejected, Report};
+use report::{After, Before, Finding, HeldOutParts, Rejected, Report};
 use shortfall::{Promised, Shortfall};
 use transfer::Transfer;
 use unseen::Unseen;
@@ -313,7 +313,7 @@ pub(crate) fn conclude(
         holdout_used: !dropped.is_empty(),
         left_out: dropped
             .iter()
-            .map(|cause| LeftOut { cause: cause.name().into(), column: cause.column() })
+            .map(|cause| HeldOutParts { cause: cause.name().into(), column: cause.column() })
             .collect(),
         findings,
         hints,

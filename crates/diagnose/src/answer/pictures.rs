@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// More lines than that over each other are a cloud.
-const MOST_LINES: usize = 12;
+const MAX_LINES: usize = 12;
 
 /// Measured and predicted, and what is left, over the main axis.
 pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
@@ -43,7 +43,7 @@ pub(super) fn predicted_and_left(diagnosis: &Diagnosis, out: &mut String) {
     let has_curves = lists.len() > 1;
     let series =
         1 + rows.windows(2).filter(|two| data.series[two[0]] != data.series[two[1]]).count();
-    if !has_curves && series > MOST_LINES {
+    if !has_curves && series > MAX_LINES {
         lists.push(Points::dots(&x, &before, Colour::Before));
         lists.push(Points::dots(&x, &after, Colour::After));
     } else if !has_curves {

@@ -41,7 +41,7 @@ const COVERAGE: f64 = 2.0;
 const ISO_CYCLES: usize = 5;
 const ISO_TARGETS: usize = 5;
 /// No longer record is considered.
-const MOST_ROWS: usize = 1_000_000;
+const MAX_ROWS: usize = 1_000_000;
 
 /// The power of a diagnosis.
 #[derive(Clone, Debug)]
@@ -182,7 +182,7 @@ fn fewest(is_found: &dyn Fn(f64) -> bool) -> Option<usize> {
     let (mut low, mut high) = (2, 3);
     while !is_found(high as f64) {
         (low, high) = (high, 2 * high);
-        if high > MOST_ROWS {
+        if high > MAX_ROWS {
             return None;
         }
     }

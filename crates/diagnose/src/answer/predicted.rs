@@ -24,12 +24,12 @@ use crate::{
     judge::Judgement,
     kind::Kind,
     model::Model,
-    predict::{Foreseen, prediction},
+    predict::{Predicted, prediction},
     search::{Found, start},
 };
 
 /// The most terms of a board.
-const MOST_TERMS: usize = 16;
+const MAX_TERMS: usize = 16;
 
 /// As harm on a hold-out: more than this times what the file leaves.
 const HARM: f64 = 1.05;
@@ -38,7 +38,7 @@ const HARM: f64 = 1.05;
 #[derive(Default)]
 pub(super) struct Choice {
     /// Residuals of the written terms on parts that took no part in their choice, where those were computed.
-    pub foreseen: Option<Foreseen>,
+    pub foreseen: Option<Predicted>,
     /// Whether they were chosen for prediction.
     pub is_predicted: bool,
 }
@@ -75,13 +75,13 @@ impl Written {
             |before: &[f64], after: &[f64]| found.folds.paired(before, after).is_certain();
         // A machine changes with the days: what the beginning says has to hold for the rest.
         let left_by_file = on.residual(&Model::default());
-        let goes_on = |foreseen: &Foreseen| {
+        let goes_on = |foreseen: &Predicted| {
             foreseen.later.iter().all(|(first, left)| {
                 let [before, after] = [&left_by_file[*first..], &left[..]].map(rms);
                 after <= HARM * before
             })
         };
-        let original = found.folds.left_out(on, &start(&on.data));
+        let original = found.folds.held_out(on, &start(&on.data));
         let is_claimed =
             |kind: &Kind| judged.iter().any(|it| it.cause() == kind && it.doubts.is_empty());
         // An open path of heat is worth no more than another one: it stays where it foresees better, and not at all where
@@ -100,7 +100,7 @@ impl Written {
                 is_shown && found.folds.paired(predicted, &named).is_better()
             }
         };
-        let room = MOST_TERMS.saturating_sub(problem.data.machine.terms.len());
+        let room = MAX_TERMS.saturating_sub(problem.data.machine.terms.len());
         let prediction = prediction(on, &folds, &beside).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
@@ -124,7 +124,7 @@ impl Written {
 pub(super) fn findings(
     problem: &Problem,
     written: &Written,
-    foreseen: &Foreseen,
+    foreseen: &Predicted,
     judged: &[Judgement],
     folds: &Folds,
 ) -> Vec<Finding> {

@@ -47,7 +47,7 @@ pub struct Report {
     pub holdout_used: bool,
     /// Terms that are not handed out because the hold-out became worse by them.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub left_out: Vec<LeftOut>,
+    pub left_out: Vec<HeldOutParts>,
     /// In the order in which they were added.
     pub findings: Vec<Finding>,
     /// Possible origins of a figure, and how to check them, a sentence each; no result depends on them.
@@ -76,7 +76,7 @@ pub struct Wandering {
 
 /// A cause whose term is not in the extended machine file.
 #[derive(Clone, Debug, Serialize)]
-pub struct LeftOut {
+pub struct HeldOutParts {
     /// Its name.
     pub cause: String,
     /// Its column.

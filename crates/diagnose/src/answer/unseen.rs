@@ -27,7 +27,7 @@ impl Unseen<'_> {
             if zero.constant_um.is_none() {
                 return self.by_row(&self.problem.residual(&zero));
             }
-            self.by_row(&self.folds.left_out(self.problem, &zero))
+            self.by_row(&self.folds.held_out(self.problem, &zero))
         };
         self.test.map_or_else(on_blocks, |test| on_hold_out(test, &Model::default()))
     }
@@ -37,7 +37,7 @@ impl Unseen<'_> {
         if model.parts.is_empty() {
             return self.before_um();
         }
-        let on_blocks = || self.by_row(&self.folds.left_out(self.problem, model));
+        let on_blocks = || self.by_row(&self.folds.held_out(self.problem, model));
         self.test.map_or_else(on_blocks, |test| on_hold_out(test, model))
     }
 

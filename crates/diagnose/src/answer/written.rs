@@ -38,7 +38,7 @@ use crate::{
 /// them.
 const FAR: f64 = 6.0;
 /// Most of the readings that may be so.
-const MOST_FAR: f64 = 0.05;
+const MAX_FAR: f64 = 0.05;
 
 /// The written terms of an answer, and those that are not.
 pub(crate) struct Written {
@@ -116,11 +116,11 @@ impl Written {
             let on = self.problem(problem);
             let fitted = fitted(on, &self.board);
             let noise = noise_of(on, &fitted.residual, fitted.degrees);
-            let with = found.folds.left_out(on, &self.board);
+            let with = found.folds.held_out(on, &self.board);
             let run = self.board.parts.iter().filter(|part| part.kind.is_compensated());
             let held_up = run.filter_map(|part| {
                 let without = self.without(on, &part.kind);
-                let paired = found.folds.paired(&found.folds.left_out(on, &without), &with);
+                let paired = found.folds.paired(&found.folds.held_out(on, &without), &with);
                 let is_unsettled = || estimates(on, &fitted, part, noise).reaches_nothing;
                 let is_held_up = paired.gain <= 0.0
                     || is_unsettled() && !(is_claimed(&part.kind) && paired.is_better());
@@ -156,7 +156,7 @@ impl Written {
             let tried = single.map(|part| {
                 let rest = without_all(on, &board, std::iter::once(&part.kind));
                 let rest = if rest.parts.is_empty() { rest } else { fit_of_most(on, &rest) };
-                let left_um = typical(&found.folds.left_out(on, &rest));
+                let left_um = typical(&found.folds.held_out(on, &rest));
                 (
                     bounds.violated(on, &run_by_board(&rest)).is_some(),
                     left_um,
@@ -181,7 +181,7 @@ impl Written {
         }
         let on = self.problem(problem);
         let foresees = |model: &Model| {
-            let [before, after] = [&start(&on.data), model].map(|it| found.folds.left_out(on, it));
+            let [before, after] = [&start(&on.data), model].map(|it| found.folds.held_out(on, it));
             found.folds.paired(&before, &after).is_better()
         };
         let is_claimed = |it: &Judgement| it.doubts.is_empty() && self.board.has(it.cause());
@@ -316,7 +316,7 @@ fn fit_of_most(problem: &Problem, model: &Model) -> Model {
     let most_um = FAR * deviation(&mut sizes);
     let mask: Vec<bool> = first.residual.iter().map(|r| r.abs() <= most_um).collect();
     let far = mask.iter().filter(|is_near| !**is_near).count() as f64;
-    if far == 0.0 || far > MOST_FAR * mask.len() as f64 {
+    if far == 0.0 || far > MAX_FAR * mask.len() as f64 {
         return first.model;
     }
     fit(problem, &first.model, Some(&mask)).model

@@ -48,7 +48,7 @@ type Known = (Asked, Arc<Vec<f64>>);
 impl Lags {
     /// Numbers in the columns that are kept, 8 bytes each: of a few thousand rows enough for a grid of
     /// time constants on each thermometer.
-    const MOST_NUMBERS: usize = 2_000_000;
+    const MAX_NUMBERS: usize = 2_000_000;
 
     /// Of these columns.
     pub(super) fn new(rows: Rows<'_>, columns: &[Column]) -> Self {
@@ -167,7 +167,7 @@ impl Lags {
         let values = Arc::new(make());
         let mut known = known();
         known.push_back((asked, values.clone()));
-        if known.len() * blocks.len() > Self::MOST_NUMBERS {
+        if known.len() * blocks.len() > Self::MAX_NUMBERS {
             known.pop_front();
         }
         values

@@ -6,7 +6,7 @@ use trueup_machine::effect::{Effect, spread};
 use super::table::Data;
 
 /// Places that make a pass: two always lie on a line.
-const FEWEST_PLACES: usize = 3;
+const MIN_PLACES: usize = 3;
 
 /// Returns true where the own axis goes one way through the whole record, and never comes back to a place.
 pub(super) fn is_one_pass(data: &Data) -> bool {
@@ -19,7 +19,7 @@ pub(super) fn is_one_pass(data: &Data) -> bool {
         rows.filter(|(mm, um)| mm.is_finite() && um.is_finite()).map(|(mm, _)| *mm).collect();
     let steps = || places.windows(2).map(|pair| pair[1] - pair[0]);
     let moves = steps().filter(|step| *step != 0.0).count();
-    moves + 1 >= FEWEST_PLACES && (steps().all(|it| it >= 0.0) || steps().all(|it| it <= 0.0))
+    moves + 1 >= MIN_PLACES && (steps().all(|it| it >= 0.0) || steps().all(|it| it <= 0.0))
 }
 
 /// Leaves the clock of a pass out where nothing but the position goes with it: it says the same once more, and

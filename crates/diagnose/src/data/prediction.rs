@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use trueup_machine::{
     Machine,
-    applied::Unaided,
+    applied::Uncompensated,
     file::LinearAxis,
     model::{
         ReferenceModel, Situation, part_temperatures, required_columns, shifted, time_shift_s,
@@ -15,7 +15,7 @@ use super::table::{Column, Data};
 
 /// Steps the reference model through the runs: as the machine file says, and by the machine's own laws,
 /// without its terms.
-pub(super) fn predict(data: &mut Data, runs: &[Unaided<'_>]) {
+pub(super) fn predict(data: &mut Data, runs: &[Uncompensated<'_>]) {
     let machine = data.machine.clone();
     let mut said = stepped(data, runs, &machine);
     let laws = if machine.terms.is_empty() {
@@ -49,7 +49,7 @@ struct Stepped {
     thermal: Vec<f64>,
 }
 
-fn stepped(data: &Data, runs: &[Unaided<'_>], machine: &Machine) -> Stepped {
+fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Stepped {
     let at = |column: &Option<Arc<[f64]>>, row: usize| {
         column.as_ref().map_or(f64::NAN, |values| values[row])
     };

@@ -4,7 +4,7 @@ use std::{borrow::Cow, sync::Arc};
 
 use trueup_machine::{
     BadInput, Machine, RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     effect::{SpeedPower, heating},
     file::{Quantity, is_temperature_column},
 };
@@ -124,7 +124,7 @@ impl Data {
 }
 
 /// Returns a column of all runs, one after the other; NaN where a run has none.
-fn joined(runs: &[Unaided<'_>], rows: usize, name: &str) -> Option<Arc<[f64]>> {
+fn joined(runs: &[Uncompensated<'_>], rows: usize, name: &str) -> Option<Arc<[f64]>> {
     if !runs.iter().any(|run| run.column(name).is_some()) {
         return None;
     }
@@ -143,7 +143,7 @@ fn joined(runs: &[Unaided<'_>], rows: usize, name: &str) -> Option<Arc<[f64]>> {
 }
 
 /// Returns of each row the number of its file, and whether a record begins with it.
-fn places(runs: &[Unaided<'_>], rows: usize) -> (Vec<u32>, Vec<bool>) {
+fn places(runs: &[Uncompensated<'_>], rows: usize) -> (Vec<u32>, Vec<bool>) {
     let (mut file, mut restart) = (Vec::with_capacity(rows), Vec::with_capacity(rows));
     for (number, run) in runs.iter().enumerate() {
         let times = run.column("time_s");
@@ -175,7 +175,7 @@ fn series(restart: &[bool], run: Option<&[f64]>) -> Vec<u32> {
 }
 
 /// Returns the reason why no row can be used: a column without a value, where there is one.
-fn unusable(machine: &Machine, runs: &[Unaided<'_>], quantity: Quantity) -> BadInput {
+fn unusable(machine: &Machine, runs: &[Uncompensated<'_>], quantity: Quantity) -> BadInput {
     for name in trueup_machine::model::required_columns(machine) {
         for run in runs {
             match run.require(&name) {
@@ -198,10 +198,10 @@ fn without_bridge<'r>(
     runs: &'r [RunFile],
     quantity: Quantity,
     factor: f64,
-) -> Result<(Vec<Unaided<'r>>, Vec<String>), BadInput> {
+) -> Result<(Vec<Uncompensated<'r>>, Vec<String>), BadInput> {
     let mut notes = Vec::new();
     let mut taken_out = |run: &'r RunFile| {
-        let (run, told) = Unaided::of(Cow::Borrowed(run), Some(machine), Some(quantity))?;
+        let (run, told) = Uncompensated::of(Cow::Borrowed(run), Some(machine), Some(quantity))?;
         notes.extend(run.slips().map(|slip| slip.to_string()));
         notes.extend(told);
         Ok(if factor == 1.0 { run } else { run.with_factor(quantity, factor) })

@@ -41,7 +41,7 @@ type Known = (Source, Asked, Arc<Vec<f64>>);
 
 impl Stepped {
     /// Numbers that are kept, 8 bytes each: 16 MB.
-    const MOST_NUMBERS: usize = 2_000_000;
+    const MAX_NUMBERS: usize = 2_000_000;
     /// The longest column: of more rows a few would fill the room.
     const LONGEST: usize = 100_000;
 
@@ -61,7 +61,7 @@ impl Stepped {
         if values.len() <= Self::LONGEST {
             let mut known = known();
             known.push_back((source.clone(), asked, values.clone()));
-            while known.len() * values.len() > Self::MOST_NUMBERS {
+            while known.len() * values.len() > Self::MAX_NUMBERS {
                 known.pop_front();
             }
         }

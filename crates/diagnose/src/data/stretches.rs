@@ -19,7 +19,7 @@ use super::{
 };
 
 /// Stretches in all of a record, or a few more; of no more rows than twice as many each is stepped through.
-const MOST: usize = 50_000;
+const MAX: usize = 50_000;
 /// The longest stretch, in time constants, that resolves a lag: by what stands above it is wrong by 2 % of itself
 /// then, and by 3 % of a jump. Faster lags are not looked for in so long a record.
 const LONGEST: f64 = 0.5;
@@ -46,7 +46,7 @@ pub(super) struct Stretches {
 impl Stretches {
     /// None where a time is missing, or there are not many rows.
     pub(super) fn new(time_s: &[f64], restart: &[bool], blocks: &RowBlocks) -> Option<Self> {
-        if time_s.len() < 2 * MOST || time_s.iter().any(|time_s| time_s.is_nan()) {
+        if time_s.len() < 2 * MAX || time_s.iter().any(|time_s| time_s.is_nan()) {
             return None;
         }
         let rows = time_s.len();
@@ -65,7 +65,7 @@ impl Stretches {
         while first < rows {
             let start_s = if restart[first] { time_s[first] } else { time_s[first - 1] };
             let belongs =
-                |&row: &usize| !restart[row] && time_s[row] - start_s <= record_s / MOST as f64;
+                |&row: &usize| !restart[row] && time_s[row] - start_s <= record_s / MAX as f64;
             // A row that is alone holds its value over any time.
             let end = (first + 1..rows).find(|row| !belongs(row)).unwrap_or(rows);
             let span_s = time_s[end - 1] - start_s;
@@ -231,7 +231,7 @@ mod tests {
 
     use super::*;
 
-    const ROWS: usize = 2 * MOST + 20_000;
+    const ROWS: usize = 2 * MAX + 20_000;
 
     /// Returns two series of uneven times, one right after the other, with a pause in the first.
     fn times() -> (Vec<f64>, Vec<bool>) {
@@ -347,7 +347,7 @@ mod tests {
         let (time_s, restart) = times();
         let blocks = RowBlocks::new(0..ROWS, |_| true);
         let it = Stretches::new(&time_s, &restart, &blocks).expect("many rows");
-        assert!(Stretches::new(&time_s[..MOST], &restart[..MOST], &blocks).is_none());
+        assert!(Stretches::new(&time_s[..MAX], &restart[..MAX], &blocks).is_none());
         let mut missing = column(&time_s);
         missing[77] = f64::NAN;
         assert!(it.means(&missing, &time_s, &restart).is_none());

@@ -43,7 +43,7 @@ impl Still {
 
 impl Grown {
     /// Numbers that are kept at most, 8 bytes each: 4 MB.
-    const MOST_NUMBERS: usize = 500_000;
+    const MAX_NUMBERS: usize = 500_000;
 
     pub(super) fn still(&mut self, data: &Data, groups: &Groups) -> Arc<Still> {
         let make = || {
@@ -64,7 +64,7 @@ impl Grown {
 
     pub(super) fn put(&mut self, growth: &Growth<'_>, warm: &Arc<Vec<f64>>) {
         self.warm.push_back(((growth.late, growth.lags_s), warm.clone()));
-        if self.warm.len() * warm.len() > Self::MOST_NUMBERS {
+        if self.warm.len() * warm.len() > Self::MAX_NUMBERS {
             self.warm.pop_front();
         }
     }

@@ -5,7 +5,7 @@ use std::{
     sync::{Arc, Mutex, MutexGuard, PoisonError},
 };
 
-use trueup_machine::effect::{FEWEST_GROUPS_IN_A_PERIOD, Nonlinear};
+use trueup_machine::effect::{MIN_GROUPS_IN_A_PERIOD, Nonlinear};
 
 use super::{
     cache::{Cache, Columns, Key},
@@ -113,8 +113,8 @@ impl Problem {
         make: impl FnOnce() -> T,
     ) -> Arc<T> {
         /// Numbers that are kept, 8 bytes each: 8 MB.
-        const MOST_NUMBERS: usize = 1_000_000;
-        let many = MOST_NUMBERS / self.groups.len().max(1);
+        const MAX_NUMBERS: usize = 1_000_000;
+        let many = MAX_NUMBERS / self.groups.len().max(1);
         if many == 0 { Arc::new(make()) } else { self.memo.known(what, model, many, make) }
     }
 
@@ -315,7 +315,7 @@ const LATEST_THERMOMETER_S: f64 = 900.0;
 
 /// The share of the longest series by which the prediction, or a thermometer, may be late. Rows shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
-const MOST_SHIFT: f64 = 0.1;
+const MAX_SHIFT: f64 = 0.1;
 /// The shortest time constant, in rows: of less than a hundredth is left after a row.
 const SHORTEST_ROWS: f64 = 0.2;
 /// The longest, in records: of one that is longer less than a third is in the record.
@@ -367,11 +367,11 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         longest_s,
         time_s,
         step_s,
-        late_s: [fastest_s, (MOST_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
+        late_s: [fastest_s, (MAX_SHIFT * longest_s).min(LATEST_THERMOMETER_S)],
         shift_s: {
             let states_early = data.stated.iter().any(|stated| stated.effect.shift_s() < 0.0);
             let has_early = data.gauge_time_s.is_some() || states_early;
-            let most_s = MOST_SHIFT * longest_s;
+            let most_s = MAX_SHIFT * longest_s;
             [if has_early { -most_s } else { 0.0 }, most_s]
         },
         travel_mm: range[1] - range[0],
@@ -380,7 +380,7 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
             LONGEST_PERIOD * (range[1] - range[0]),
         ],
         period_s: [
-            FEWEST_GROUPS_IN_A_PERIOD * longest_s / groups.len().max(2) as f64,
+            MIN_GROUPS_IN_A_PERIOD * longest_s / groups.len().max(2) as f64,
             LONGEST_TIME_PERIOD * longest_s,
         ],
         prediction_um,

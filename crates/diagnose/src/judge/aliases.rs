@@ -21,7 +21,7 @@ const PEAKS: usize = 12;
 /// Time constants that a fit begins from.
 const TIME_CONSTANTS: i32 = 5;
 /// Most that are reported.
-const MOST_TOLD: usize = 4;
+const MAX_TOLD: usize = 4;
 
 /// First values of `part`, outside its own interval, that do as well; `without` lacks the part.
 pub(crate) fn aliases(
@@ -37,7 +37,7 @@ pub(crate) fn aliases(
     } else {
         Vec::new()
     };
-    found.truncate(MOST_TOLD);
+    found.truncate(MAX_TOLD);
     found
 }
 

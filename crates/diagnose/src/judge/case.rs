@@ -53,7 +53,7 @@ impl<'c> Case<'c> {
 
     /// Returns what `other` leaves on left-out blocks, in each group, in µm.
     pub(crate) fn left_out_of(&self, other: &Fitted) -> Vec<f64> {
-        self.folds().left_out(self.problem, &other.model)
+        self.folds().held_out(self.problem, &other.model)
     }
 
     /// Returns what `other` leaves on left-out blocks: RMS, in µm.

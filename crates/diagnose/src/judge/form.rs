@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// Lagged laws that are tried next to what settles from the start on.
-const MOST_LAWS: usize = 4;
+const MAX_LAWS: usize = 4;
 /// The error of a lag of the first order for a body that is heated from its side: the share of its mean temperature
 /// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
 const FORM: f64 = 0.19;
@@ -36,7 +36,7 @@ const SECOND_BODY: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// Of a start that had not settled a seventh is left after this many time constants.
 const SETTLED: f64 = 2.0;
 /// The share of the record that must be left without its start for the question to be fair.
-const LEAST_LEFT: f64 = 0.5;
+const MIN_LEFT: f64 = 0.5;
 
 /// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
 pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<Kind> {
@@ -77,7 +77,7 @@ pub(crate) fn start_of(case: &Case<'_>, part: &Part) -> Option<Kind> {
             && !case.paired(&case.left_out_of(&it.fitted)).is_better()
     };
     begins(answer).or_else(|| {
-        let mut others = with_each_cause(case.problem, answer, MOST_LAWS, is_late).into_iter();
+        let mut others = with_each_cause(case.problem, answer, MAX_LAWS, is_late).into_iter();
         others.find_map(|it| begins(&it.fitted).filter(|_| is_rival(&it)))
     })
 }
@@ -121,7 +121,7 @@ fn is_of_the_start(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
         })
         .collect();
     let left = mask.iter().filter(|is_left| **is_left).count() as f64 / mask.len() as f64;
-    if left < LEAST_LEFT {
+    if left < MIN_LEFT {
         return false;
     }
     let squares = |fitted: &Fitted| {

@@ -6,7 +6,7 @@ use crate::{columns::named, data::Data, judge::case::Case, kind::Kind};
 
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
-const MOST_LEFT_OUT: f64 = 2.0;
+const MAX_LEFT_OUT: f64 = 2.0;
 /// A model that leaves at most a tenth more in whole records that it was not fitted to has been seen again
 /// there, however wide the intervals of its constants are.
 const SEEN_AGAIN: f64 = 1.1;
@@ -19,11 +19,11 @@ pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bo
     // alone is excepted: without the start it cannot be.
     let is_late = cause.has_time_constant() && !cause.cause().is_some_and(Effect::is_in_time);
     let is_at_most = |times: f64| case.left_out_um <= times * case.found.fitted.rms();
-    let is_foreseen = case.found.folds.are_records() && is_at_most(SEEN_AGAIN);
-    is_foreseen
+    let is_predicted = case.found.folds.are_records() && is_at_most(SEEN_AGAIN);
+    is_predicted
         || is_known
             && is_steady(case, cause)
-            && (is_at_most(MOST_LEFT_OUT) || !is_late)
+            && (is_at_most(MAX_LEFT_OUT) || !is_late)
             && is_seen_again(&case.problem.data, cause)
 }
 

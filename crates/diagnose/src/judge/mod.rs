@@ -49,7 +49,7 @@
 
 mod aliases;
 mod case;
-mod doubt;
+mod caveat;
 mod form;
 mod identified;
 mod instrument;
@@ -78,7 +78,7 @@ use crate::{
 };
 use aliases::aliases;
 use case::Case;
-pub(crate) use doubt::Doubt;
+pub(crate) use caveat::Caveat;
 use form::{form_of, start_of};
 use identified::is_identified;
 use instrument::table_beside;
@@ -104,7 +104,7 @@ pub(crate) struct Judgement {
     /// Of what acts in a range alone: where its bound may be, at 95 %.
     pub bound: Option<[f64; 2]>,
     /// Why its name is not claimed; empty: it is.
-    pub doubts: Vec<Doubt>,
+    pub doubts: Vec<Caveat>,
     /// Whether its correction is right whichever name is: it goes into the extended machine file.
     pub is_kept: bool,
     /// Of a table that was measured several times: what is known between its points.
@@ -121,19 +121,19 @@ impl Judgement {
     /// Returns what it goes with, where another law does.
     pub(crate) fn other_law(&self) -> Option<&Inputs> {
         self.doubts.iter().find_map(|doubt| match doubt {
-            Doubt::OtherLaw(inputs) => Some(inputs),
+            Caveat::OtherLaw(inputs) => Some(inputs),
             _ => None,
         })
     }
 
     /// Returns whether another record would show it otherwise.
     pub(crate) fn is_of_this_record(&self) -> bool {
-        self.doubts.iter().any(Doubt::is_of_this_record)
+        self.doubts.iter().any(Caveat::is_of_this_record)
     }
 
     /// Returns whether it may be where a lagged law stood when the record began.
     pub(crate) fn is_of_the_start(&self) -> bool {
-        self.doubts.iter().any(|doubt| matches!(doubt, Doubt::StartOf(_)))
+        self.doubts.iter().any(|doubt| matches!(doubt, Caveat::StartOf(_)))
     }
 
     /// Of the cause against the best rival, 0…1.
@@ -141,7 +141,8 @@ impl Judgement {
         let others = self.rivals.iter().filter(|rival| rival.differs_from(self.cause()));
         let gap = others.map(|rival| rival.bic_gap).fold(f64::INFINITY, f64::min);
         let confidence = 1.0 / (1.0 + (-0.5 * gap.min(40.0)).exp());
-        let is_of_law = |doubt: &Doubt| matches!(doubt, Doubt::OtherLaw(_) | Doubt::BesideOtherLaw);
+        let is_of_law =
+            |doubt: &Caveat| matches!(doubt, Caveat::OtherLaw(_) | Caveat::BesideOtherLaw);
         if self.doubts.iter().any(is_of_law) { confidence.min(0.5) } else { confidence }
     }
 }
@@ -191,33 +192,34 @@ fn judge_term(case: &Case<'_>, added: &Added) -> Option<Judgement> {
     let gain = case.gain(&without, &left_out_without);
     let open: Vec<&Rival> = rivals.iter().filter(|rival| rival.is_open(cause)).collect();
     let mut doubts = Vec::new();
-    doubts.extend(open.first().map(|rival| Doubt::Rival(rival.cause.clone())));
+    doubts.extend(open.first().map(|rival| Caveat::Rival(rival.cause.clone())));
     if doubts.is_empty() {
-        doubts.extend(alone_does_as_well(case, cause).map(Doubt::Rival));
+        doubts.extend(alone_does_as_well(case, cause).map(Caveat::Rival));
     }
-    doubts.extend(table_beside(case, part).map(Doubt::BesideTable));
+    doubts.extend(table_beside(case, part).map(Caveat::BesideTable));
     let same = part.kind.cause().filter(|_| problem.data.is_one_pass);
-    doubts.extend(same.and_then(|cause| cause.same_in_one_pass()).map(Doubt::OnePass));
+    doubts.extend(same.and_then(|cause| cause.same_in_one_pass()).map(Caveat::OnePass));
     let repeated = repeated(case, cause);
     match &repeated {
         // Its repeats are the judge of a table, not what it leaves.
         Some(repeated) if repeated.is_confirmed => {}
-        Some(_) => doubts.push(Doubt::NotRepeated),
+        Some(_) => doubts.push(Caveat::NotRepeated),
         None => {
             doubts.extend(doubts_of_values(case, part, &without, &estimates, &left_out_without));
-            doubts.extend(may_gain_nothing(part, &gain).then_some(Doubt::MayGainNothing));
+            doubts.extend(may_gain_nothing(part, &gain).then_some(Caveat::MayGainNothing));
             let is_known = estimates.is_determined;
             doubts.extend(doubts_by_residual(case, cause, &without, is_known));
         }
     }
     // What may be nothing, or another wave between the places, is corrected only if it is foreseen.
-    let is_foreseen = case.paired(&left_out_without).is_better();
-    let is_alias_of_wave = cause.is_wave() && doubts.iter().any(|it| matches!(it, Doubt::Alias(_)));
+    let is_predicted = case.paired(&left_out_without).is_better();
+    let is_alias_of_wave =
+        cause.is_wave() && doubts.iter().any(|it| matches!(it, Caveat::Alias(_)));
     let is_kept = predict_alike(case, &open)
         && !is_alias_of_wave
-        && !doubts.contains(&Doubt::NotRepeated)
-        && (is_foreseen || !doubts.iter().any(Doubt::is_of_size))
-        && (case.folds().are_records() || !doubts.iter().any(Doubt::is_of_this_record));
+        && !doubts.contains(&Caveat::NotRepeated)
+        && (is_predicted || !doubts.iter().any(Caveat::is_of_size))
+        && (case.folds().are_records() || !doubts.iter().any(Caveat::is_of_this_record));
     Some(Judgement {
         part: part.clone(),
         parameters: estimates.named,
@@ -240,32 +242,32 @@ fn doubts_of_values(
     without: &Fitted,
     estimates: &Estimates,
     left_out_without: &[f64],
-) -> Vec<Doubt> {
+) -> Vec<Caveat> {
     let mut doubts = Vec::new();
     if estimates.reaches_nothing {
-        doubts.push(Doubt::MayBeNothing);
+        doubts.push(Caveat::MayBeNothing);
     }
     if case.problem.is_at_the_end(part) {
-        doubts.push(Doubt::AtTheEnd);
+        doubts.push(Caveat::AtTheEnd);
     }
     if part.kind.has_time_constant() && part.values[0] > case.problem.bounds.longest_s {
-        doubts.push(Doubt::SlowerThanRecord);
+        doubts.push(Caveat::SlowerThanRecord);
     }
-    doubts.extend(start_of(case, part).map(Doubt::StartOf));
+    doubts.extend(start_of(case, part).map(Caveat::StartOf));
     if !gains_again(case, &part.kind, left_out_without) {
-        doubts.push(Doubt::GainsOnce);
+        doubts.push(Caveat::GainsOnce);
     }
     if !goes_on(case, &part.kind, left_out_without) {
-        doubts.push(Doubt::DoesNotGoOn);
+        doubts.push(Caveat::DoesNotGoOn);
     }
     if only_smooths(case.problem, case.folds(), part, &without.model, &case.left_out) {
-        doubts.push(Doubt::OnlySmooths);
+        doubts.push(Caveat::OnlySmooths);
     }
-    doubts.extend(halves(case, part).map(Doubt::HalvesDiffer));
-    doubts.extend(form_of(case, part, without).map(Doubt::FormOf));
+    doubts.extend(halves(case, part).map(Caveat::HalvesDiffer));
+    doubts.extend(form_of(case, part, without).map(Caveat::FormOf));
     let aliases = aliases(case, part, without, estimates);
     if !aliases.is_empty() {
-        doubts.push(Doubt::Alias(aliases));
+        doubts.push(Caveat::Alias(aliases));
     }
     doubts
 }
@@ -276,16 +278,16 @@ fn doubts_by_residual(
     cause: &Kind,
     without: &Fitted,
     is_known: bool,
-) -> Vec<Doubt> {
+) -> Vec<Caveat> {
     let mut doubts = Vec::new();
     let curves = Curves::new(case, cause);
     if !is_identified(case, cause, is_known) {
-        doubts.push(Doubt::NotIdentified);
+        doubts.push(Caveat::NotIdentified);
     }
     doubts.extend(curves.another_law(case, cause, without));
     // Where a law without a name is left, it may be what the term stands for.
     if !case.found.lack_of_fit.is_empty() && !curves.leave_a_need(case, without) {
-        doubts.push(Doubt::NotNeeded);
+        doubts.push(Caveat::NotNeeded);
     }
     doubts
 }
@@ -313,7 +315,7 @@ fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]
         let [first, second] = pair.terms;
         let names = [judged[second].cause().clone(), judged[first].cause().clone()];
         for (index, other) in pair.terms.into_iter().zip(names) {
-            judged[index].doubts.push(Doubt::OnlyTogether(other));
+            judged[index].doubts.push(Caveat::OnlyTogether(other));
             judged[index].is_kept &= pair.is_gain;
         }
     }
@@ -323,11 +325,11 @@ fn doubt_what_is_only_certain_together(case: &Case<'_>, judged: &mut [Judgement]
 /// that it belongs to is not the machine's, and what else is read into that law is not either.
 fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
     let is_own = |it: &Judgement| it.cause().tier() == 0;
-    let open = judged.iter().find(|it| is_own(it) && it.doubts.contains(&Doubt::AtTheEnd));
+    let open = judged.iter().find(|it| is_own(it) && it.doubts.contains(&Caveat::AtTheEnd));
     let Some(open) = open.map(|it| it.cause().clone()) else { return };
     let claimed = |it: &&mut Judgement| is_own(it) && it.doubts.is_empty();
     for it in judged.iter_mut().filter(claimed) {
-        it.doubts.push(Doubt::HangsOn(open.clone()));
+        it.doubts.push(Caveat::HangsOn(open.clone()));
     }
 }
 
@@ -338,7 +340,7 @@ fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
     let Some(open) = open.map(|it| it.cause().clone()) else { return };
     let claimed = |it: &&mut Judgement| it.doubts.is_empty() && !it.cause().has_own_input();
     for it in judged.iter_mut().filter(claimed) {
-        it.doubts.push(Doubt::HangsOn(open.clone()));
+        it.doubts.push(Caveat::HangsOn(open.clone()));
     }
 }
 
@@ -348,7 +350,7 @@ fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
 fn leave_what_only_this_record_holds_up(judged: &mut [Judgement]) {
     if judged.iter().any(|it| !it.is_kept && it.is_of_this_record()) {
         let is_unsure = |it: &&mut Judgement| {
-            it.cause().is_compensated() && it.doubts.contains(&Doubt::MayBeNothing)
+            it.cause().is_compensated() && it.doubts.contains(&Caveat::MayBeNothing)
         };
         judged.iter_mut().filter(is_unsure).for_each(|it| it.is_kept = false);
     }
@@ -375,7 +377,7 @@ fn doubt_what_hangs_on_an_open_question(case: &Case<'_>, judged: &mut [Judgement
         }
     }
     for (index, cause) in doubts {
-        judged[index].doubts.push(Doubt::HangsOn(cause));
+        judged[index].doubts.push(Caveat::HangsOn(cause));
     }
 }
 
@@ -396,7 +398,7 @@ fn doubt_what_stands_beside_another_law(case: &Case<'_>, judged: &mut [Judgement
         let mut without = sound.clone();
         without.parts.retain(|part| part.kind != *it.cause());
         if bic(&without) <= bic(&sound) + STRONG_EVIDENCE {
-            it.doubts.push(Doubt::BesideOtherLaw);
+            it.doubts.push(Caveat::BesideOtherLaw);
         }
     }
 }
@@ -405,7 +407,7 @@ fn doubt_what_stands_beside_another_law(case: &Case<'_>, judged: &mut [Judgement
 mod tests {
     use super::*;
 
-    fn judgement(doubts: Vec<Doubt>, is_kept: bool) -> Judgement {
+    fn judgement(doubts: Vec<Caveat>, is_kept: bool) -> Judgement {
         let gain = Gain {
             rms_before_um: 2.0,
             rms_after_um: 1.0,
@@ -431,8 +433,8 @@ mod tests {
     #[test]
     fn what_may_be_nothing_is_not_handed_out_without_what_held_it_up() {
         let kept = |slow_is_kept: bool| {
-            let slow = judgement(vec![Doubt::SlowerThanRecord], slow_is_kept);
-            let unsure = judgement(vec![Doubt::MayBeNothing, Doubt::NotIdentified], true);
+            let slow = judgement(vec![Caveat::SlowerThanRecord], slow_is_kept);
+            let unsure = judgement(vec![Caveat::MayBeNothing, Caveat::NotIdentified], true);
             let mut all = vec![slow, unsure, judgement(Vec::new(), true)];
             leave_what_only_this_record_holds_up(&mut all);
             all.iter().map(|it| it.is_kept).collect::<Vec<_>>()

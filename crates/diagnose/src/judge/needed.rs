@@ -84,5 +84,5 @@ fn neither(case: &Case<'_>, one: &Kind, other: &Kind) -> Vec<f64> {
     let model = without(problem, &case.found.fitted.model, one);
     let model = without(problem, &model, other);
     let model = fit(problem, &model, None).model;
-    case.folds().left_out(problem, &model)
+    case.folds().held_out(problem, &model)
 }

@@ -6,7 +6,7 @@ use crate::{
     columns::{SAID, named},
     data::Data,
     fit::{Fitted, fit},
-    judge::{case::Case, doubt::Doubt, rivals::imitates},
+    judge::{case::Case, caveat::Caveat, rivals::imitates},
     kind::{Curve, Kind},
     model::Model,
     search::{
@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// R² of a law: the least that it must explain of the squares that go with its inputs.
-const LEAST_R_SQUARED: f64 = 0.9;
+const MIN_R_SQUARED: f64 = 0.9;
 /// The share of what a term explains that is left to it next to a better law: below.
 const LEFT_TO_IT: f64 = 0.5;
 /// The correlation from which a column is another's: 0.2 % of the squares are its own.
@@ -62,7 +62,7 @@ impl Curves {
         case: &Case<'_>,
         cause: &Kind,
         without: &Fitted,
-    ) -> Option<Doubt> {
+    ) -> Option<Caveat> {
         let curves = with_each_curve(case.problem, without, &self.candidates);
         curves.into_iter().find_map(|curve| {
             let inputs = Inputs::of(&curve.cause)?;
@@ -86,19 +86,19 @@ fn doubt_by(
     inputs: Inputs,
     without: &Fitted,
     is_shown: bool,
-) -> Option<Doubt> {
+) -> Option<Caveat> {
     let answer = &case.found.fitted;
     let is_better = curve.bic < case.bic() - STRONG_EVIDENCE;
     let explained = without.sum - answer.sum;
     let by_curve = without.sum - curve.fitted.sum;
     // Many values take a little of whatever there is; two scales of the model are a rival like any cause.
     let is_rival = is_of_two_scales(&curve.cause);
-    if is_better && (is_rival || is_shown || explained <= LEAST_R_SQUARED * by_curve) {
-        return Some(Doubt::OtherLaw(inputs));
+    if is_better && (is_rival || is_shown || explained <= MIN_R_SQUARED * by_curve) {
+        return Some(Caveat::OtherLaw(inputs));
     }
     let is_near = curve.bic < case.bic() + STRONG_EVIDENCE;
     (is_rival && is_near && !imitates(case, without, &curve.fitted))
-        .then_some(Doubt::LawAsWell(inputs))
+        .then_some(Caveat::LawAsWell(inputs))
 }
 
 /// Returns whether it is another scale of what the model says from somewhere on.

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Most rivals of a term.
-const MOST_RIVALS: usize = 6;
+const MAX_RIVALS: usize = 6;
 /// Share of what a term does that a rival may miss and still imitate it.
 const IMITATION: f64 = 0.05;
 
@@ -77,7 +77,7 @@ pub(crate) fn rivals(case: &Case<'_>, cause: &Kind, places: Replacements) -> Vec
     }
     all.retain(|rival| !rival.is_open(cause) || !imitates(case, &places.without, &rival.fitted));
     all.sort_by(|a, b| a.bic_gap.total_cmp(&b.bic_gap));
-    all.truncate(MOST_RIVALS);
+    all.truncate(MAX_RIVALS);
     all
 }
 

@@ -13,7 +13,7 @@ use crate::{
 };
 
 /// Positions to measure next, at most: a cycle of the standard has about as many.
-const MOST_POSITIONS: usize = 12;
+const MAX_POSITIONS: usize = 12;
 
 /// The evidence of the repeats for a table.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ fn next_mm(at_mm: &[f64]) -> Vec<f64> {
     /// The fraction by which the golden section moves on: no two of a few come near each other.
     const GOLDEN: f64 = 0.618_034;
     let gaps = at_mm.len().saturating_sub(1);
-    let count = gaps.min(MOST_POSITIONS);
+    let count = gaps.min(MAX_POSITIONS);
     (0..count)
         .map(|n| {
             let gap = n * gaps / count;
@@ -135,6 +135,6 @@ mod tests {
         assert!(most - least > 1.0, "{steps:?}");
         // Of many gaps not more than a cycle has.
         let many: Vec<f64> = (0..41).map(f64::from).collect();
-        assert_eq!(next_mm(&many).len(), MOST_POSITIONS);
+        assert_eq!(next_mm(&many).len(), MAX_POSITIONS);
     }
 }

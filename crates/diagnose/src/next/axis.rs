@@ -30,7 +30,7 @@ const HEAT_FEED_MM_PER_MIN: f64 = 10_000.0;
 const FEED_MM_PER_MIN: f64 = 1000.0;
 /// This much of the way lies beyond the targets, and at most this many mm: there play is taken up.
 const OVER_SHARE: f64 = 0.05;
-const MOST_OVER_MM: f64 = 50.0;
+const MAX_OVER_MM: f64 = 50.0;
 /// The warming of an axis, in K, and its time constant, in s, where the runs do not show it: a screw (paper 2).
 const WARMS_C: f64 = 5.0;
 const WARMS_IN_S: f64 = 1200.0;
@@ -213,7 +213,7 @@ impl AxisForesight {
     /// Returns all runs that are thought of.
     pub(super) fn candidates(&self) -> Vec<AxisRun> {
         let [low, high] = self.range_mm;
-        let over_mm = (OVER_SHARE * (high - low)).min(MOST_OVER_MM);
+        let over_mm = (OVER_SHARE * (high - low)).min(MAX_OVER_MM);
         let mut feeds = vec![self.feeds_mm_per_min.clone()];
         feeds.extend((self.feeds_mm_per_min.len() > 1).then(|| vec![self.feeds_mm_per_min[1]]));
         let cold = [(0.0, true, false)];

@@ -11,7 +11,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{RunFile, file::is_temperature_column};
-use trueup_numerics::{least_squares::Triangle, robust::median};
+use trueup_numerics::{least_squares::GivensQr, robust::median};
 
 use super::{Gauge, Stretch};
 use crate::data::Data;
@@ -24,7 +24,7 @@ const LAGS_S: [f64; 16] = [
 /// Heat grows with the speed by such a power: friction of a load (1) to that of a liquid (2).
 const POWERS: [f64; 3] = [1.0, 1.5, 2.0];
 /// Rows that are looked at: enough for four constants.
-const MOST_ROWS: usize = 600;
+const MAX_ROWS: usize = 600;
 /// The weight that pulls a constant that nothing determines to 0: as much as a hundredth of the rows.
 const PULL: f64 = 0.01;
 
@@ -163,7 +163,7 @@ impl Foresight {
             let _ = write!(text, ",{name}");
         }
         let columns: Vec<Vec<f64>> =
-            self.columns.iter().map(|(_, response)| response.foreseen(&rows)).collect();
+            self.columns.iter().map(|(_, response)| response.predicted(&rows)).collect();
         for (number, row) in rows.iter().enumerate() {
             let _ = write!(
                 text,
@@ -192,14 +192,14 @@ impl Response {
         let there: Vec<usize> = (0..rows.len())
             .filter(|&row| values[row].is_finite() && rows[row].speed.is_finite())
             .collect();
-        let step = there.len().div_ceil(MOST_ROWS).max(1);
+        let step = there.len().div_ceil(MAX_ROWS).max(1);
         let there: Vec<usize> = there.into_iter().step_by(step).collect();
         let pull = (PULL * there.len() as f64).sqrt();
         let mut best: Option<(f64, Self)> = None;
         for power in POWERS {
             for lag_s in LAGS_S {
                 let heat = heat(rows, power, lag_s);
-                let mut triangle = Triangle::new(4);
+                let mut triangle = GivensQr::new(4);
                 for &row in &there {
                     triangle.add(&regressors(&rows[row], heat[row], is_slow), values[row]);
                 }
@@ -223,7 +223,7 @@ impl Response {
         best.map(|(_, response)| response)
     }
 
-    fn foreseen(&self, rows: &[Row]) -> Vec<f64> {
+    fn predicted(&self, rows: &[Row]) -> Vec<f64> {
         let heat = heat(rows, self.power, self.lag_s);
         let each = rows.iter().zip(heat);
         each.map(|(row, heat)| dot(&regressors(row, heat, false), &self.constants)).collect()
@@ -284,7 +284,7 @@ mod tests {
         let cold = Row { step_s: 0.0, speed: 0.0, load_n: 0.0 };
         let half = Row { step_s: 60.0, speed: 0.5, load_n: 0.0 };
         let rows = [vec![cold], vec![half; 20]].concat();
-        let last = response.foreseen(&rows)[20];
+        let last = response.predicted(&rows)[20];
         // A time constant at half the speed: 21 + 10·(1 − 1/e), as near as the grid of lags has it.
         assert!(name == "temp_front_c" && (last - 27.32).abs() < 0.6, "{last}");
     }

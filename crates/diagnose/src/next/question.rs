@@ -19,7 +19,7 @@ use trueup_numerics::{
     noise::{Noise, Whitener},
 };
 
-use super::Told;
+use super::ExpectedSeparation;
 use crate::{
     data::{Data, Groups},
     fit::{Fitted, Problem, Spread, jacobian, spread},
@@ -96,9 +96,9 @@ impl Question {
     }
 
     /// Returns the expected separation of the two causes by `run`.
-    pub(crate) fn told(&self, run: &Data) -> Told {
+    pub(crate) fn expected_separation(&self, run: &Data) -> ExpectedSeparation {
         let Separation { gap, difference_um } = self.separation(run);
-        Told {
+        ExpectedSeparation {
             causes: self.causes.clone(),
             difference_um,
             noise_um: self.variance.sqrt(),

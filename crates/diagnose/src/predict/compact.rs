@@ -10,20 +10,20 @@ use trueup_numerics::parallel::on_all_cores;
 use crate::{model::Model, predict::dictionary::Dictionary};
 
 /// Most terms: what the board has room for next to those of the file.
-pub(super) const MOST_TERMS: usize = 8;
+pub(super) const MAX_TERMS: usize = 8;
 /// The ridge on columns of unit variance: less ties a set too closely to its subsample, more forgets it.
 const RIDGE: f64 = 0.05;
 /// The ridge of a single fit, against columns that are nearly alike.
 const SINGLE: f64 = 1e-3;
 /// Held more, a fit is none.
-const MOST_RIDGE: f64 = 10.0;
+const MAX_RIDGE: f64 = 10.0;
 /// A term does at most this many times what was measured ([`crate::answer`]: of two terms that take each other back
 /// each is larger).
-const MOST_TIMES: f64 = 2.0;
+const MAX_TIMES: f64 = 2.0;
 /// An exchange has to gain this share.
 const EXCHANGE: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.
-const MOST_CANDIDATES: usize = 60;
+const MAX_CANDIDATES: usize = 60;
 /// The weight of the mean against what was measured.
 const MEAN: f64 = 0.5;
 
@@ -101,7 +101,7 @@ fn ridge(
     }
     let moments = Moments::new(dictionary, target, rows, &columns, has_constant);
     let all: Vec<usize> = (0..columns.len()).collect();
-    let most = MOST_TIMES * extent(target.iter().map(|um| um - moments.mean_y));
+    let most = MAX_TIMES * extent(target.iter().map(|um| um - moments.mean_y));
     // Terms that take each other back are held until none does more than a machine can.
     let is_possible = |amplitudes: &DVector<f64>| {
         columns.iter().zip(amplitudes.iter()).zip(&moments.mean).all(|((&column, a), mean)| {
@@ -109,7 +109,7 @@ fn ridge(
         })
     };
     let ridges = std::iter::successors(Some(ridge), |ridge| Some(10.0 * ridge));
-    let ridges = ridges.take_while(|ridge| *ridge <= MOST_RIDGE);
+    let ridges = ridges.take_while(|ridge| *ridge <= MAX_RIDGE);
     let mut solutions = ridges.map(|ridge| moments.solve(&all, ridge));
     let Some(amplitudes) = solutions.find(is_possible) else { return Compact::default() };
     let of_mean: f64 = amplitudes.iter().zip(&moments.mean).map(|(a, mean)| a * mean).sum();
@@ -246,7 +246,7 @@ impl Sets<'_> {
     fn path(&self, is_large: bool) -> Vec<Vec<usize>> {
         let mut path: Vec<Vec<usize>> = Vec::new();
         let (mut set, mut least) = (Vec::new(), f64::INFINITY);
-        while path.len() < MOST_TERMS {
+        while path.len() < MAX_TERMS {
             let Some((joined, sum)) = self.joined(&set, is_large) else { break };
             let (exchanged, sum) = self.exchanged(joined, sum, is_large);
             if sum >= least {
@@ -351,5 +351,5 @@ fn candidates(samples: &[Sample]) -> Vec<usize> {
         }
     }
     counted.sort_by_key(|&(term, count)| (std::cmp::Reverse(count), term));
-    counted.into_iter().map(|(term, _)| term).take(MOST_CANDIDATES).collect()
+    counted.into_iter().map(|(term, _)| term).take(MAX_CANDIDATES).collect()
 }

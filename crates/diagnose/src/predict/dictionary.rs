@@ -4,7 +4,7 @@
 use crate::{candidates::possible, fit::Problem, kind::Part, search::start};
 
 /// A table or curve of more values is judged by its repeats, not by blocks.
-const MOST_AMPLITUDES: usize = 16;
+const MAX_AMPLITUDES: usize = 16;
 
 /// A term at one setting; amplitudes 0.
 pub(super) struct Entry {
@@ -41,7 +41,7 @@ impl Dictionary {
             let amplitudes = of.amplitudes();
             // Nor is what happens once a record foreseen by its other parts.
             let is_once = of.is_wave() || of.is_from_the_start();
-            if !is_open || is_once || !(1..=MOST_AMPLITUDES).contains(&amplitudes) {
+            if !is_open || is_once || !(1..=MAX_AMPLITUDES).contains(&amplitudes) {
                 continue;
             }
             for setting in &candidate.settings {

@@ -48,12 +48,12 @@ const FEW: usize = 40;
 #[derive(Clone, Debug)]
 pub(crate) struct Prediction {
     pub model: Model,
-    pub foreseen: Foreseen,
+    pub foreseen: Predicted,
 }
 
 /// Residuals of parts that took no part in search and fit.
 #[derive(Clone, Debug)]
-pub(crate) struct Foreseen {
+pub(crate) struct Predicted {
     /// Of each group, by a fit to the other parts ([`Folds::of_promise`]), in µm.
     pub left: Vec<f64>,
     /// Of the rest, by a fit to the first half and the first two thirds: from which group on, and in each.
@@ -92,7 +92,7 @@ pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Op
         let of = |row: usize| without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
         (first, (first..groups).map(|row| measured[row] - of(row)).collect())
     });
-    Some(Prediction { model, foreseen: Foreseen { later: later.collect(), left } })
+    Some(Prediction { model, foreseen: Predicted { later: later.collect(), left } })
 }
 
 /// The search with all that it needs.
@@ -115,14 +115,14 @@ impl Engine<'_> {
         let mut blocks = stretches(count, first.max(2));
         if self.is_timed {
             // Of what is left by a search that does not stop: what is still to be found remembers longer.
-            let rich = forward(rows, &blocks, compact::MOST_TERMS, false);
+            let rich = forward(rows, &blocks, compact::MAX_TERMS, false);
             let left =
                 single(self.dictionary, self.y, rows, &rich).left(self.dictionary, self.y, rows);
             let length = MEMORIES * memory(&left);
             let most = (count as f64 / length).min(count as f64 / 8.0) as usize;
             blocks = stretches(count, most.clamp(BLOCKS[0], BLOCKS[1]).min(count));
         }
-        let terms = forward(rows, &blocks, compact::MOST_TERMS, true);
+        let terms = forward(rows, &blocks, compact::MAX_TERMS, true);
         if terms.is_empty() {
             return None;
         }

@@ -11,24 +11,24 @@ use crate::{
         criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, degrees, noise_of},
         extend::{Extension, fit_hits, with_each_cause},
         scan::Hit,
-        state::{Search, Tried, WhyNot},
+        state::{RejectReason, Search, Tried},
     },
 };
 
 /// Those of the extensions that are tried on left-out blocks.
-const MOST_LEFT_OUT: usize = 8;
+const MAX_LEFT_OUT: usize = 8;
 /// Groups beyond which pairs are not tried from nothing: it would take too long.
-const MOST_GROUPS_FOR_PAIRS: usize = 3000;
+const MAX_GROUPS_FOR_PAIRS: usize = 3000;
 
 /// The outcome of a round.
 pub(crate) enum Choice {
-    Take(Taken),
+    Take(ChosenExtension),
     /// None of these.
     Reject(Vec<Tried>),
 }
 
 /// The extension that is taken.
-pub(crate) struct Taken {
+pub(crate) struct ChosenExtension {
     pub fitted: Fitted,
     /// The causes that are new in it.
     pub causes: Vec<Kind>,
@@ -62,13 +62,13 @@ impl<'s> Baseline<'s> {
     fn new(search: &'s Search<'s>, best: &Fitted) -> Self {
         let noise = noise_of(search.problem, &best.residual, degrees(&best.model));
         let folds = Folds::new(search.problem, noise.memory);
-        let left_out = folds.left_out(search.problem, &search.fitted.model);
+        let left_out = folds.held_out(search.problem, &search.fitted.model);
         Self { search, folds, left_out }
     }
 
     fn assess(&self, extension: Extension) -> Assessed {
         let Extension { cause, fitted, bic } = extension;
-        let left_out = self.folds.left_out(self.search.problem, &fitted.model);
+        let left_out = self.folds.held_out(self.search.problem, &fitted.model);
         let left_out_um = rms(&left_out);
         let reduction = self.folds.reduction(&self.left_out, &left_out);
         let before_um = rms(&self.left_out);
@@ -95,9 +95,9 @@ impl<'s> Baseline<'s> {
                 rms_um: it.fitted.rms(),
                 left_out_um: Some(it.left_out_um),
                 why_not: if it.is_gain {
-                    WhyNot::Outperformed
+                    RejectReason::Outperformed
                 } else {
-                    WhyNot::NoGain {
+                    RejectReason::NoGain {
                         left_out: self.folds.unit,
                         before_um: rms(&self.left_out),
                         after_um: it.left_out_um,
@@ -120,7 +120,7 @@ pub(crate) fn choose(
     let Some(best_fit) = best_fit else { return Choice::Reject(Vec::new()) };
     let baseline = Baseline::new(search, &best_fit.fitted);
     options.sort_by(|a, b| a.bic.total_cmp(&b.bic));
-    options.truncate(MOST_LEFT_OUT);
+    options.truncate(MAX_LEFT_OUT);
     let mut all: Vec<Assessed> = options
         .into_iter()
         .map(|extension| {
@@ -139,7 +139,7 @@ pub(crate) fn choose(
     let tried = baseline.not_taken(&all, Some(taken));
     let it = all.swap_remove(taken);
     let gain = baseline.gain(&it.fitted, &it.left_out, &it.reduction);
-    Choice::Take(Taken { fitted: it.fitted, causes: vec![it.cause], gain, tried })
+    Choice::Take(ChosenExtension { fitted: it.fitted, causes: vec![it.cause], gain, tried })
 }
 
 /// Returns the place of the one to take, where `least_um` is the least that one of them leaves.
@@ -163,7 +163,7 @@ fn pair_with_the_first(
     all: &[Assessed],
     tier: u8,
     least_um: f64,
-) -> Option<Taken> {
+) -> Option<ChosenExtension> {
     let (search, first) = (baseline.search, &all[0]);
     let is_relevant = search.fitted.rms() - first.fitted.rms() > search.relevant_um;
     if first.is_gain
@@ -174,10 +174,10 @@ fn pair_with_the_first(
         return None;
     }
     partners(search.problem, &first.fitted, tier).into_iter().find_map(|partner| {
-        let left_out = baseline.folds.left_out(search.problem, &partner.fitted.model);
+        let left_out = baseline.folds.held_out(search.problem, &partner.fitted.model);
         let reduction = baseline.folds.reduction(&baseline.left_out, &left_out);
         let predicts = reduction.is_gain && rms(&left_out) < EQUAL_PREDICTION * least_um;
-        predicts.then(|| Taken {
+        predicts.then(|| ChosenExtension {
             causes: vec![first.cause.clone(), partner.cause],
             gain: baseline.gain(&partner.fitted, &left_out, &reduction),
             fitted: partner.fitted,
@@ -203,9 +203,9 @@ pub(crate) fn pair_from_nothing(
     hits: &[Hit],
     tier: u8,
     limit: f64,
-) -> Option<Taken> {
+) -> Option<ChosenExtension> {
     let problem = search.problem;
-    if problem.groups.len() > MOST_GROUPS_FOR_PAIRS {
+    if problem.groups.len() > MAX_GROUPS_FOR_PAIRS {
         return None;
     }
     let is_simple = |cause: &Kind| cause.tier() <= 1 && cause.amplitudes() <= 2;
@@ -223,9 +223,9 @@ pub(crate) fn pair_from_nothing(
     }
     let (first, partner) = best?;
     let baseline = Baseline::new(search, &partner.fitted);
-    let left_out = baseline.folds.left_out(problem, &partner.fitted.model);
+    let left_out = baseline.folds.held_out(problem, &partner.fitted.model);
     let reduction = baseline.folds.reduction(&baseline.left_out, &left_out);
-    reduction.is_gain.then(|| Taken {
+    reduction.is_gain.then(|| ChosenExtension {
         causes: vec![first, partner.cause],
         gain: baseline.gain(&partner.fitted, &left_out, &reduction),
         fitted: partner.fitted,

@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Those that are fitted in the place of all terms over a column.
-const MOST_ALONE: usize = 10;
+const MAX_ALONE: usize = 10;
 
 /// Returns what takes two inputs together comes last, next to simpler terms that have stood for it. Returns models with
 /// one alone in the place of all terms of `fitted` that read the column of one of `causes`.
@@ -36,7 +36,7 @@ pub(crate) fn alone_over_a_column<'k>(
         let base = fit(problem, &model, None);
         let mut candidates = with_composed(problem, &base.model, &base.residual);
         candidates.retain(|it| it.kind.is_composed() && is_of_it(&it.kind));
-        extensions(problem, &base, &candidates, MOST_ALONE)
+        extensions(problem, &base, &candidates, MAX_ALONE)
     });
     alone.collect()
 }
@@ -84,11 +84,11 @@ impl Search<'_> {
                 let Some(with) = self.with_difference([first, second], [one, other]) else {
                     continue;
                 };
-                let is_foreseen = || {
+                let is_predicted = || {
                     self.left_out_um(&with.fitted)
                         < EQUAL_PREDICTION * self.left_out_um(&self.fitted)
                 };
-                if with.bic < self.bic() && is_foreseen() {
+                if with.bic < self.bic() && is_predicted() {
                     let Some(index) = self.added.iter().position(|it| it.cause == *first) else {
                         return;
                     };

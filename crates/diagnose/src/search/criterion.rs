@@ -74,5 +74,5 @@ pub(crate) fn bic_gap(problem: &Problem, own: &Fitted, other: &Fitted) -> f64 {
 
 /// Returns what `model` leaves on blocks that were left out of the fit in turn: RMS, in µm.
 pub(crate) fn left_out_um(problem: &Problem, folds: &Folds, model: &Model) -> f64 {
-    rms(&folds.left_out(problem, model))
+    rms(&folds.held_out(problem, model))
 }

@@ -21,7 +21,7 @@ use crate::{
     kind::Kind,
     model::Model,
     search::{
-        MOST_TERMS,
+        MAX_TERMS,
         criterion::{CHOICE, STRONG_EVIDENCE, bic, degrees, noise_of},
         extend::{Extension, centred_effect, take_back, with_each_cause, without},
         state::{Added, Search},
@@ -30,12 +30,12 @@ use crate::{
 
 /// Terms that are added without being worth it, before the search turns back: two may hide each other,
 /// and a third one both.
-const MOST_AHEAD: usize = 3;
+const MAX_AHEAD: usize = 3;
 /// Several terms at once must be identified: where they were not fitted they leave at most this many times the
 /// squares that they leave where they were.
-const MOST_LEFT_OUT: f64 = 2.0;
+const MAX_LEFT_OUT: f64 = 2.0;
 /// Candidates that are fitted for each term.
-const MOST_FITTED: usize = 8;
+const MAX_FITTED: usize = 8;
 
 /// By what a step is taken. Whether the way was worth it, is always asked of the likelihood and of what is
 /// foreseen.
@@ -119,8 +119,8 @@ impl Search<'_> {
             kind.tier() < 3 && !is_once && !is_list(kind)
         };
         let mut here = fit(self.problem, &plain, None);
-        for _ in 0..MOST_AHEAD {
-            let all = with_each_cause(self.problem, &here, MOST_FITTED, is_plain);
+        for _ in 0..MAX_AHEAD {
+            let all = with_each_cause(self.problem, &here, MAX_FITTED, is_plain);
             let Some(best) = Extension::best(all) else { break };
             if best.bic + price >= bic(self.problem, &here) {
                 break;
@@ -156,7 +156,7 @@ impl Search<'_> {
         let mut here = start.clone();
         let mut best: Option<Assessed> = None;
         let mut ahead = 0;
-        while ahead < MOST_AHEAD && here.model.parts.len() < MOST_TERMS {
+        while ahead < MAX_AHEAD && here.model.parts.len() < MAX_TERMS {
             let Some(there) = self.with_one_more(&here, way) else { break };
             let there = self.begun_anew(there);
             here = self.without_what_is_not_needed(there, way);
@@ -189,11 +189,11 @@ impl Search<'_> {
         let [own, others] = [one, other].map(|it| degrees(&it.fitted.model));
         let is_better = if gap >= STRONG_EVIDENCE {
             let fewer = own < others;
-            paired.is_better() || fewer && self.foresees_as_well(&one.fitted, &other.left_out)
+            paired.is_better() || fewer && self.predicts_as_well(&one.fitted, &other.left_out)
         } else {
             gap > -STRONG_EVIDENCE && own <= others && paired.is_certain()
         };
-        let is_identified = rms(&one.left_out).powi(2) <= MOST_LEFT_OUT * one.fitted.rms().powi(2);
+        let is_identified = rms(&one.left_out).powi(2) <= MAX_LEFT_OUT * one.fitted.rms().powi(2);
         is_better && is_identified && !self.has_terms_that_cancel(&one.fitted)
     }
 
@@ -212,7 +212,7 @@ impl Search<'_> {
             let is_admitted = way.with_lists || cause.list_length().is_none();
             cause.tier() < 3 && !is_searched && !cause.is_shift() && is_admitted
         };
-        let all = with_each_cause(self.problem, base, MOST_FITTED, is_open);
+        let all = with_each_cause(self.problem, base, MAX_FITTED, is_open);
         let all = all.into_iter().map(|it| self.with_its_start(it, way.price));
         all.min_by(|a, b| way.by.of(a).total_cmp(&way.by.of(b)))
     }
@@ -252,7 +252,7 @@ impl Search<'_> {
         let parts: Vec<Kind> = fitted.model.parts.iter().map(|part| part.kind.clone()).collect();
         for kind in parts.iter().filter(|kind| kind.has_time_constant() && **kind != cause) {
             let less = fit(self.problem, &without(self.problem, &fitted.model, kind), None);
-            let again = with_each_cause(self.problem, &less, MOST_FITTED, |there| there == kind);
+            let again = with_each_cause(self.problem, &less, MAX_FITTED, |there| there == kind);
             match Extension::best(again) {
                 Some(again) if again.fitted.sum < fitted.sum => fitted = again.fitted,
                 _ => {}

@@ -50,27 +50,27 @@ use crate::{
     kind::Part,
     model::Model,
 };
-use choose::{Choice, Taken, choose, pair_from_nothing};
+use choose::{Choice, ChosenExtension, choose, pair_from_nothing};
 use composed::alone_over_a_column;
 use criterion::{degrees, noise_of};
 use extend::fit_hits;
 use lack_of_fit::{Inputs, LackOfFit};
 use scan::{Draw, Hit, Scan, scan};
 pub(crate) use state::{Added, Tried};
-use state::{Search, Stage, WhyNot};
+use state::{RejectReason, Search, Stage};
 
 /// Most terms of one diagnosis.
-const MOST_TERMS: usize = 8;
+const MAX_TERMS: usize = 8;
 /// A lack of fit that is reported would be this many terms' worth.
 const LACK_OF_FIT: f64 = 2.0;
 /// Most rounds: one for each term, and as many as find nothing.
-const MOST_ROUNDS: usize = MOST_TERMS + 8;
+const MAX_ROUNDS: usize = MAX_TERMS + 8;
 /// How often the search begins again after a term was given up.
-const MOST_RETURNS: usize = 3;
+const MAX_RETURNS: usize = 3;
 /// Candidates that are fitted with everything else, of those that a scan puts first.
-const MOST_FITTED: usize = 10;
+const MAX_FITTED: usize = 10;
 /// Groups times fitted values up to which several terms ahead are looked at: it is many fits.
-const MOST_WORK_AHEAD: usize = 40_000;
+const MAX_WORK_AHEAD: usize = 40_000;
 
 /// How far a search goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,7 +118,7 @@ pub(crate) fn search(
     }
     // What foresees nothing may have stood in the way of what does.
     let mut returns = 0;
-    while search.simplify() && returns < MOST_RETURNS {
+    while search.simplify() && returns < MAX_RETURNS {
         search.try_all_again();
         no_gain = search.add_terms(progress);
         returns += 1;
@@ -139,11 +139,11 @@ enum Round {
 impl Search<'_> {
     /// Adds terms until nothing more is to be found; what is more than noise then, but foresees nothing.
     fn add_terms(&mut self, progress: &mut dyn FnMut(&str, f64)) -> Vec<LackOfFit> {
-        for round in 0..MOST_ROUNDS {
-            let part = |rounds: f64| (rounds / MOST_TERMS as f64).min(0.9);
+        for round in 0..MAX_ROUNDS {
+            let part = |rounds: f64| (rounds / MAX_TERMS as f64).min(0.9);
             progress("looking for a cause", part(round as f64));
             match self.round(progress) {
-                Round::Added if self.added.len() >= MOST_TERMS => break,
+                Round::Added if self.added.len() >= MAX_TERMS => break,
                 Round::Added => {
                     progress("comparing with rivals", part(round as f64 + 0.7));
                     self.revise();
@@ -173,7 +173,7 @@ impl Search<'_> {
         let scanned = scan(self.problem, &self.fitted, &candidates, self.limits);
         let is_open = |hit: &&Hit| self.is_open(hit);
         let hits: Vec<Hit> = scanned.hits.iter().filter(is_open).cloned().collect();
-        let mut options = fit_hits(self.problem, &self.fitted, &hits, MOST_FITTED);
+        let mut options = fit_hits(self.problem, &self.fitted, &hits, MAX_FITTED);
         if self.stage == Stage::Composed {
             let causes = self.added.iter().map(|it| &it.cause);
             let alone = alone_over_a_column(self.problem, &self.fitted, causes);
@@ -198,7 +198,7 @@ impl Search<'_> {
         hit.is_likely || hit.is_significant && is_free
     }
 
-    fn take(&mut self, taken: Taken, hits: &[Hit]) {
+    fn take(&mut self, taken: ChosenExtension, hits: &[Hit]) {
         self.rejected.clear();
         self.limits = Draw::Robust;
         self.fitted = taken.fitted;
@@ -227,7 +227,7 @@ impl Search<'_> {
         let is_empty = self.added.is_empty();
         if self.stage == Stage::All && is_empty {
             let limit = scanned.likelihood_limit.unwrap_or(0.0);
-            if let Some(Taken { fitted, causes, gain, .. }) =
+            if let Some(ChosenExtension { fitted, causes, gain, .. }) =
                 pair_from_nothing(self, &scanned.hits, tier, limit)
             {
                 self.fitted = fitted;
@@ -251,7 +251,7 @@ impl Search<'_> {
         let work = self.problem.groups.len() * degrees(&self.fitted.model);
         if !is_empty && self.is_new_to_look_ahead() {
             progress("looking several terms ahead", f64::NAN);
-            let is_cheap = work < MOST_WORK_AHEAD;
+            let is_cheap = work < MAX_WORK_AHEAD;
             if self.plain_in_place_of_lists() || is_cheap && (self.float() || self.look_two_ahead())
             {
                 self.revise();
@@ -296,7 +296,7 @@ impl Search<'_> {
             .iter()
             .filter(|tried| rms_um - tried.rms_um > self.relevant_um)
             .filter_map(|tried| match tried.why_not {
-                WhyNot::NoGain { left_out, .. } => {
+                RejectReason::NoGain { left_out, .. } => {
                     Some(LackOfFit::NoGain { cause: tried.cause.name(), left_out })
                 }
                 _ => None,
@@ -313,7 +313,7 @@ impl Search<'_> {
                 cause: best.unwrap_or(hit).part.kind.clone(),
                 rms_um,
                 left_out_um: None,
-                why_not: WhyNot::Insignificant,
+                why_not: RejectReason::Insignificant,
             });
         }
         lack_of_fit

@@ -244,7 +244,7 @@ impl Search<'_> {
 
     /// Returns whether `other` foresees left-out blocks as well as a model that leaves `own` there: within the
     /// standard error of the difference, or by a share that does not matter.
-    pub(crate) fn foresees_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
+    pub(crate) fn predicts_as_well(&self, other: &Fitted, own: &[f64]) -> bool {
         let there = self.foresight(other);
         !self.folds.paired(&there, own).is_better() || rms(&there) <= EQUAL_PREDICTION * rms(own)
     }
@@ -317,7 +317,7 @@ impl Search<'_> {
             let mut parts = self.fitted.model.parts.iter().filter(|part| part.kind == *cause);
             let is_at_the_end = parts.any(|part| self.problem.is_at_the_end(part));
             let Some((gap, it)) = simpler else { continue };
-            let as_well = || self.foresees_as_well(&it.fitted, &with);
+            let as_well = || self.predicts_as_well(&it.fitted, &with);
             // What the likelihood prefers clearly need only not foresee worse beyond doubt.
             let is_open = || !self.folds.paired(&self.foresight(&it.fitted), &with).is_certain();
             if (gap < STRONG_EVIDENCE || is_at_the_end) && as_well()

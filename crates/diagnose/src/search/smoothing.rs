@@ -48,7 +48,7 @@ fn smoothed_for(problem: &Problem, part: &Part, holds: impl Fn(&Problem) -> bool
 
 /// Returns what the lag leaves less than the model `without` it, where the thermometers are smooth.
 fn against(folds: &Folds, smooth: &Problem, without: &Model, left_out: &[f64]) -> Paired {
-    folds.paired(&folds.left_out(smooth, without), left_out)
+    folds.paired(&folds.held_out(smooth, without), left_out)
 }
 
 /// Returns whether the first value of a term is how late a thermometer, or what it shows, is.

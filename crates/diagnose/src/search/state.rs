@@ -102,12 +102,12 @@ pub(crate) struct Tried {
     pub rms_um: f64,
     /// The same on left-out blocks, where it was worked out.
     pub left_out_um: Option<f64>,
-    pub why_not: WhyNot,
+    pub why_not: RejectReason,
 }
 
 /// Why a cause was not taken.
 #[derive(Clone, Debug)]
-pub(crate) enum WhyNot {
+pub(crate) enum RejectReason {
     /// Another explains as much and is simpler, or predicts better.
     Outperformed,
     /// It predicts no better what was left out.
@@ -116,7 +116,7 @@ pub(crate) enum WhyNot {
     Insignificant,
 }
 
-impl fmt::Display for WhyNot {
+impl fmt::Display for RejectReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Outperformed => {
@@ -167,7 +167,7 @@ impl<'p> Search<'p> {
 
     /// Returns what `fitted` leaves on left-out blocks, in each group, in µm.
     pub(crate) fn foresight(&self, fitted: &Fitted) -> Vec<f64> {
-        self.folds.left_out(self.problem, &fitted.model)
+        self.folds.held_out(self.problem, &fitted.model)
     }
 
     /// Returns the model in work without a term.

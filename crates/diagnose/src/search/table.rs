@@ -37,7 +37,7 @@ impl Search<'_> {
         model.sort();
         let with = fit(problem, &model, None);
         let [before, own, there] =
-            [&without, &self.fitted, &with].map(|it| self.folds.left_out(problem, &it.model));
+            [&without, &self.fitted, &with].map(|it| self.folds.held_out(problem, &it.model));
         let is_bare = without.model == self.fitted.model;
         let is_simpler = degrees(&with.model) < degrees(&self.fitted.model);
         let is_better = repeats::is_worse(&own, &there)

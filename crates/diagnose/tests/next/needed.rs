@@ -44,7 +44,7 @@ pub struct Needed {
 fn minutes_until_told(diagnosis: &Diagnosis, run: &RunFile) -> Option<f64> {
     let score = |rows: usize| {
         let part = run.altered(rows, |_, _| {});
-        diagnosis.told_apart_by(&part).expect("all columns").expect("open")
+        diagnosis.separation_by(&part).expect("all columns").expect("open")
     };
     let whole = score(run.rows());
     let is_told = |rows: &usize| score(*rows) * whole.signum() >= STRONG;
@@ -78,7 +78,7 @@ pub fn needed<T: Tried>(seeds: impl Iterator<Item = u64>, drawn: impl Fn(u64) ->
         let cycles = tried.fixed().map(|cycle| {
             minutes_until_told(&diagnosis, &cycle).unwrap_or_else(|| lasts_min(&cycle))
         });
-        let measured = diagnosis.told_apart_by(&planned).expect("all columns").expect("open");
+        let measured = diagnosis.separation_by(&planned).expect("all columns").expect("open");
         println!(
             "seed {seed} ({}): {}; measured {measured:.0}, told after {own:.1?} of {:.1} min, by the fixed cycles after \
              {cycles:.1?}",

@@ -40,7 +40,7 @@ pub struct Key {
 
 /// An answer compared with a [`Key`].
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct KeyComparison {
     pub verdict: Verdict,
     /// Causes that are claimed.
     pub claimed: Vec<String>,
@@ -56,7 +56,7 @@ pub struct Told {
 
 impl Key {
     /// Returns what `report` says.
-    pub fn of(&self, report: &Report) -> Told {
+    pub fn of(&self, report: &Report) -> KeyComparison {
         let names = |is_wanted: &dyn Fn(&Finding) -> bool| {
             let findings = report.findings.iter().filter(|finding| is_wanted(finding));
             findings.map(|finding| finding.cause.clone()).collect::<Vec<String>>()
@@ -73,7 +73,7 @@ impl Key {
             .map(|list| (is_in(list, &claimed) || is_in(list, &open), is_in(list, &claimed)))
             .collect();
         let missed = self.needed.iter().zip(&needed).filter(|(_, (is_named, _))| !is_named);
-        Told {
+        KeyComparison {
             verdict: report.verdict,
             wrong: names(&|it| it.claimed && !is_true(it)),
             missed: missed.map(|(list, _)| list[0]).collect(),
@@ -84,14 +84,14 @@ impl Key {
     }
 }
 
-impl Told {
+impl KeyComparison {
     /// All named, and nothing false.
     pub fn is_right(&self) -> bool {
         self.needed.iter().all(|(is_named, _)| *is_named) && self.wrong.is_empty()
     }
 }
 
-impl fmt::Display for Told {
+impl fmt::Display for KeyComparison {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let list = |names: &[String]| if names.is_empty() { "-".into() } else { names.join("+") };
         write!(

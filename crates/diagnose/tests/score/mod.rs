@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, fmt, path::Path};
 
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::hidden::{Challenge, Expected, Hidden, Truth};
+use trueup_twin::hidden::{Expected, Hidden, TestCase, Truth};
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]
@@ -92,7 +92,7 @@ impl fmt::Display for Score {
 }
 
 /// Hands the files, and nothing else, to the diagnosis.
-pub fn answer(challenge: &Challenge) -> Diagnosis {
+pub fn answer(challenge: &TestCase) -> Diagnosis {
     let machine = MachineFile::parse(&challenge.machine, Path::new("machine.toml"))
         .expect("the twin writes machine files");
     let read = |text: &str, name: &str| {
@@ -104,7 +104,7 @@ pub fn answer(challenge: &Challenge) -> Diagnosis {
 }
 
 /// The verdict and the findings of an answer, by whichever version of the finder.
-pub struct Told {
+pub struct Answered {
     /// By its name in the fixed form of the answer.
     pub verdict: String,
     pub findings: Vec<Named>,
@@ -120,7 +120,7 @@ pub struct Named {
     pub partners: Vec<String>,
 }
 
-impl Told {
+impl Answered {
     fn of(diagnosis: &Diagnosis) -> Self {
         let findings = diagnosis.report.findings.iter().map(|finding| Named {
             cause: finding.cause.clone(),
@@ -201,7 +201,7 @@ fn columns(finding: &Finding) -> Vec<String> {
 }
 
 /// Returns what `diagnosis` is worth, by the truth of `challenge`.
-pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
+pub fn score(challenge: &TestCase, diagnosis: &Diagnosis) -> Score {
     let truth = &challenge.truth;
     let report = &diagnosis.report;
     let names = |of: fn(Hidden) -> &'static str| -> Vec<&'static str> {
@@ -213,7 +213,7 @@ pub fn score(challenge: &Challenge, diagnosis: &Diagnosis) -> Score {
         findings.map(|finding| finding.cause.clone()).collect()
     };
     let (named, unclaimed) = (of(true), of(false));
-    let told = Told::of(diagnosis);
+    let told = Answered::of(diagnosis);
     let (is_right, is_wrong) = (told.is_right(truth), told.is_wrong(truth));
     let open = report
         .findings

@@ -3,7 +3,7 @@
 //! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
 //! much as the noise that the other could not do.
 
-use trueup_twin::hidden::{Challenge, Expected, Hidden, draw_pair};
+use trueup_twin::hidden::{Expected, Hidden, TestCase, draw_pair};
 
 use crate::{
     own::own_rms,
@@ -20,7 +20,7 @@ pub const WRONG: f64 = 0.01;
 /// deviations of a normal distribution, one in ten thousand.
 const STRETCHED: f64 = 2.0;
 /// Of the possible gain on the hold-out, what the worst answer that claims all must reach.
-const LEAST_GAIN: f64 = 0.85;
+const MIN_GAIN: f64 = 0.85;
 
 /// A cause, and what is a part of it already: a table, each way one, has all that hangs on position and
 /// direction alone; another reference of a temperature or of a lever is a slope over the axis.
@@ -47,7 +47,7 @@ pub fn causes() -> Vec<Hidden> {
 pub fn faults(score: &Score) -> Vec<String> {
     let far = score.intervals.iter().filter(|it| !it.is_inside(STRETCHED));
     let mut faults: Vec<String> = far.map(|it| format!("{it:?}")).collect();
-    if score.share_of_gain < LEAST_GAIN {
+    if score.share_of_gain < MIN_GAIN {
         faults.push(format!("{:.3} of the possible gain", score.share_of_gain));
     }
     faults
@@ -94,7 +94,7 @@ impl Pair {
 
     /// Returns whether neither is a part of the other, and each does as much as the noise that the other could
     /// not do.
-    fn can_be_told(self, challenge: &Challenge) -> bool {
+    fn can_be_told(self, challenge: &TestCase) -> bool {
         let [a, b] = &challenge.truth.effects[..] else { return false };
         let noise_um = challenge.truth.noise_rms_um;
         !PARTS_OF.contains(&(self.0, self.1))

@@ -12,7 +12,7 @@ use trueup_twin::{
 };
 
 use crate::{
-    key::{Key, Told, True},
+    key::{Key, KeyComparison, True},
     own::own_rms,
 };
 
@@ -39,9 +39,9 @@ pub fn causes(fault: Fault) -> &'static [&'static str] {
 }
 
 /// No fault is smaller, in RMS of the noise.
-pub const LEAST_RATIO: f64 = 3.0;
+pub const MIN_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to this many times the noise.
-const RATIOS: [f64; 2] = [1.1 * LEAST_RATIO, 10.0];
+const RATIOS: [f64; 2] = [1.1 * MIN_RATIO, 10.0];
 /// A fault that must be larger to be seen is none of this machine: a room that swings by more than
 /// this, in K, is no room.
 const LARGEST_SIZE: f64 = 8.0;
@@ -51,7 +51,7 @@ pub const HARM: f64 = 1.05;
 
 /// A fault that is drawn.
 #[derive(Clone, Debug)]
-pub struct Drawn {
+pub struct SampledFault {
     pub fault: Fault,
     /// How much of it ([`Fault`]).
     pub size: f64,
@@ -64,7 +64,7 @@ pub struct Drawn {
 /// A machine with faults.
 pub struct Case {
     pub plant: Plant,
-    pub faults: Vec<Drawn>,
+    pub faults: Vec<SampledFault>,
     /// RMS in µm of what the healthy machine's file leaves of the healthy machine.
     pub noise_um: f64,
 }
@@ -99,7 +99,7 @@ impl Case {
 
     /// `fault` at a size at which the record differs by `target` times the noise from that of the
     /// machine without it. `None` where this machine does not show it.
-    fn sized(&self, fault: Fault, target: f64) -> Option<Drawn> {
+    fn sized(&self, fault: Fault, target: f64) -> Option<SampledFault> {
         let mut drawn = self.at(fault, 1.0);
         for _ in 0..8 {
             if (drawn.ratio / target - 1.0).abs() < 0.05 {
@@ -108,16 +108,16 @@ impl Case {
             // What a fault does is nearly in proportion to its size.
             drawn = self.at(fault, (drawn.size * target / drawn.ratio).min(2.0 * LARGEST_SIZE));
         }
-        (drawn.size <= LARGEST_SIZE && drawn.ratio >= LEAST_RATIO).then_some(drawn)
+        (drawn.size <= LARGEST_SIZE && drawn.ratio >= MIN_RATIO).then_some(drawn)
     }
 
-    fn at(&self, fault: Fault, size: f64) -> Drawn {
+    fn at(&self, fault: Fault, size: f64) -> SampledFault {
         let seed = self.plant.seed_of_day(0);
         let with = simulate(&self.plant.day(0, &[(fault, size)]), seed, || {}).to_csv();
         let without = simulate(&self.plant.day_without(0, fault, size), seed, || {}).to_csv();
         let [with, without] = [with, without].map(|csv| self.left(&self.plant.machine, &csv, true));
         let um: Vec<f64> = with.iter().zip(without).map(|(with, other)| with - other).collect();
-        Drawn { fault, size, ratio: rms(&um) / self.noise_um, um }
+        SampledFault { fault, size, ratio: rms(&um) / self.noise_um, um }
     }
 
     /// RMS over that of the noise of what a fault does and no mixture of the others, and a constant,
@@ -190,7 +190,7 @@ pub struct Judged {
     pub kind: Kind,
     /// Each with its RMS over that of the noise, whole and without what others could do as well.
     pub faults: Vec<(Fault, f64, f64)>,
-    pub told: Told,
+    pub told: KeyComparison,
     /// RMS on the second day with the file as it was, in µm.
     pub before_um: f64,
     /// The same with what the answer corrects.

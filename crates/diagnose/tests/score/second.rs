@@ -6,7 +6,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_twin::hidden::{Challenge, Effect, Expected, Hidden, draw, draw_pair};
+use trueup_twin::hidden::{Effect, Expected, Hidden, TestCase, draw, draw_pair};
 
 /// Returns what the file may have: causes with a name whose term a board corrects.
 pub fn firsts() -> impl Iterator<Item = Hidden> {
@@ -26,7 +26,7 @@ pub fn pairs() -> Vec<(Hidden, Hidden)> {
 
 /// Returns the challenge with `known` in the file and in the data, and `new` in the data alone: the answer is
 /// `new`. `None` where no machine has both.
-pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {
+pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<TestCase> {
     let mut challenge = draw_pair(known, new, ratio, seed)?;
     let [a, b] = &challenge.truth.effects[..] else { return None };
     let (a, b) = (a.clone(), b.clone());
@@ -43,7 +43,7 @@ pub fn beside(known: Hidden, new: Hidden, ratio: f64, seed: u64) -> Option<Chall
 
 /// Returns the challenge with `cause` in the data and in the file, where it has half of its size: what is not
 /// in the file is about `ratio` times the noise.
-pub fn aged(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
+pub fn aged(cause: Hidden, ratio: f64, seed: u64) -> TestCase {
     let mut challenge = draw(cause, 2.0 * ratio, seed);
     let mut old = challenge.truth.effects[0].clone();
     halve(&mut old, &challenge);
@@ -62,7 +62,7 @@ fn add(sum: &mut [f64], um: &[f64]) {
 }
 
 /// Half the way to where the term does nothing.
-fn halve(effect: &mut Effect, challenge: &Challenge) {
+fn halve(effect: &mut Effect, challenge: &TestCase) {
     let slope = believed(&challenge.machine, "slope_um_per_m_per_c");
     let constant = believed(&challenge.machine, "constant_um_per_c");
     let most_um = challenge.truth.believed_um.iter().copied().fold(f64::MIN, f64::max);
@@ -111,7 +111,7 @@ fn believed(machine: &str, key: &str) -> f64 {
 }
 
 /// `effect` as a `[[term]]` of the machine file, by the table of causes (`docs/reference.md`).
-pub fn term(effect: &Effect, challenge: &Challenge) -> String {
+pub fn term(effect: &Effect, challenge: &TestCase) -> String {
     let cause = effect.cause;
     let mut text = format!(
         "\n[[term]]\ncause = \"{}\"\nquantity = \"{}\"\n",

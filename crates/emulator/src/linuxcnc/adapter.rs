@@ -100,7 +100,7 @@ impl Adapter {
 
     /// Returns whether the CNC has sent something within `time`.
     #[must_use]
-    pub fn has_heard_within(&self, time: Duration) -> bool {
+    pub fn has_received_within(&self, time: Duration) -> bool {
         lock(&self.shared).last_heard.is_some_and(|heard| heard.elapsed() < time)
     }
 

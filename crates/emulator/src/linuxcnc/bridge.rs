@@ -183,9 +183,9 @@ impl Bridge {
 
     /// Returns whether the CNC has sent something within `time`, where that is known.
     #[must_use]
-    pub fn has_heard_within(&self, time: Duration) -> bool {
+    pub fn has_received_within(&self, time: Duration) -> bool {
         match &self.board {
-            Board::Qemu { adapter, .. } => adapter.has_heard_within(time),
+            Board::Qemu { adapter, .. } => adapter.has_received_within(time),
             Board::Chip { .. } => true,
         }
     }
@@ -248,11 +248,11 @@ fn measure(board: &mut LiveChip) -> Result<u32> {
     client.write_all(b"S8\rO\r")?;
     let mut line = client.try_clone()?;
     let reader = thread::spawn(move || {
-        let (mut bytes, mut heard) = ([0; 4096], 0);
+        let (mut bytes, mut received) = ([0; 4096], 0);
         while let Ok(length @ 1..) = line.read(&mut bytes) {
-            heard += length;
+            received += length;
         }
-        heard
+        received
     });
     let began = Instant::now();
     for _ in 0..MEASURED_MS {
@@ -264,7 +264,7 @@ fn measure(board: &mut LiveChip) -> Result<u32> {
     client.shutdown(Shutdown::Both)?;
     // The model sees that its client has gone.
     board.live(10)?;
-    let heard = reader.join().ok().context("the reader does not panic")?;
-    ensure!(heard as u64 > 40 * MEASURED_MS, "the board says too little: {heard} bytes");
+    let received = reader.join().ok().context("the reader does not panic")?;
+    ensure!(received as u64 > 40 * MEASURED_MS, "the board says too little: {received} bytes");
     Ok((took_ms / MEASURED_MS as f64 * MARGIN).ceil() as u32)
 }

@@ -348,7 +348,7 @@ impl Loop {
                 owed_ms = 0.0;
             }
             let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
-            self.hear(bridge.slower())?;
+            self.receive(bridge.slower())?;
             if due < 1.0 {
                 thread::sleep(NAP);
                 continue;
@@ -363,7 +363,7 @@ impl Loop {
     /// Returns whether both halves of the CNC, its real-time part and the component, have just been received.
     fn cnc_is_there(&self, bridge: &Bridge) -> bool {
         let moves = self.heard.is_some_and(|heard| heard.elapsed() < HESITATION);
-        moves && bridge.has_heard_within(HESITATION)
+        moves && bridge.has_received_within(HESITATION)
     }
 
     /// Lets the board live through this many milliseconds of the machine as it stands.
@@ -381,7 +381,7 @@ impl Loop {
 
     /// Lets the machine do what LinuxCNC has commanded meanwhile. Its time is the board's, spread
     /// evenly over the servo cycles that have come.
-    fn hear(&mut self, slower: u32) -> Result<()> {
+    fn receive(&mut self, slower: u32) -> Result<()> {
         if slower > 1 && self.ahead_ms <= 0.0 {
             // Frames within a millisecond of the board belong to it.
             return Ok(());

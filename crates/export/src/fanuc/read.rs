@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::MOST_STEP;
+use super::MAX_STEP;
 use crate::report::Approach;
 
 /// The control's compensation data after both files are loaded.
@@ -39,7 +39,7 @@ impl Control {
             let (number, value) = number_and_rest(line).ok_or_else(wrong)?;
             let value: i64 =
                 value.strip_prefix('P').and_then(|value| value.parse().ok()).ok_or_else(wrong)?;
-            if value.abs() > MOST_STEP {
+            if value.abs() > MAX_STEP {
                 return Err(format!("{line}: a value is from -7 to 7"));
             }
             let point = i64::from(number) - 10_000;

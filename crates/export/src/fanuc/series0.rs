@@ -14,7 +14,7 @@ use std::{collections::BTreeMap, fmt::Write as _};
 
 use trueup_machine::{Machine, file::LinearAxis};
 
-use super::{AxisTables, MAGNIFICATIONS, MOST_STEP, Planned, SPACING_MM, compare_axis};
+use super::{AxisTables, MAGNIFICATIONS, MAX_STEP, Planned, SPACING_MM, compare_axis};
 use crate::{
     Export, File, Options, Report,
     course::{Cross, Drive, crosses},
@@ -156,7 +156,7 @@ pub fn read(sheet: &str, axis: LinearAxis) -> Result<(usize, f64, Vec<i64>), Str
     let spacing_mm = of(spacing)? as f64 * SPACING_MM;
     // Point 0 is 1001: the first section's is the next.
     let points = values.range(reference + 2..=reference + 128).map(|(number, value)| {
-        if value.abs() > MOST_STEP {
+        if value.abs() > MAX_STEP {
             return Err(format!("{number} is {value}: a value is from -7 to 7"));
         }
         Ok(value * scale)

@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// This many pairs of axes there are.
-const MOST_PAIRS: usize = 3;
+const MAX_PAIRS: usize = 3;
 /// This many points has a pair.
 const POINTS: usize = 4;
 
@@ -42,9 +42,9 @@ pub(super) fn chosen<'m>(
         with_span.push((high - low, cross));
     }
     with_span.sort_by(|a, b| b.0.total_cmp(&a.0));
-    for (span_um, cross) in with_span.drain(MOST_PAIRS.min(with_span.len())..) {
+    for (span_um, cross) in with_span.drain(MAX_PAIRS.min(with_span.len())..) {
         let reason = format!(
-            "straightness has {MOST_PAIRS} pairs of axes, and this one is among the smaller \
+            "straightness has {MAX_PAIRS} pairs of axes, and this one is among the smaller \
              ({span_um:.1} µm)"
         );
         report.leave_out(cross.section(), reason);
@@ -54,7 +54,7 @@ pub(super) fn chosen<'m>(
 
 /// A curve of which more than this stays is not written: nine tenths gone is what a compensation is for
 /// (paper 3; `trueup accept`).
-const MOST_LOSS: f64 = 0.1;
+const MAX_LOSS: f64 = 0.1;
 /// This many places of a curve are looked at before it is taken.
 const PLACES: u32 = 1000;
 
@@ -98,7 +98,7 @@ pub(super) fn plan<'m>(
 ) -> Vec<Pair<'m>> {
     let mut pairs = Vec::new();
     for (index, plan) in planned.iter().enumerate() {
-        let base = (index * super::MOST_POINTS) as i64;
+        let base = (index * super::MAX_POINTS) as i64;
         let positions_mm = plan.points.positions_mm();
         for cross in &plan.crosses {
             let constant_um = cross.error_um(plan.points.reference_mm);
@@ -122,8 +122,7 @@ pub(super) fn plan<'m>(
                 off_um = off_um.max((um - interpolated(&nodes, mm)).abs());
                 (low, high) = (low.min(um), high.max(um));
             }
-            if off_um > MOST_LOSS * (high - low) && off_um > options.tolerance_um + options.unit_um
-            {
+            if off_um > MAX_LOSS * (high - low) && off_um > options.tolerance_um + options.unit_um {
                 let reason = format!(
                     "straightness has {POINTS} points, and lines between the best {POINTS} are \
                      {off_um:.1} µm off, of {:.1} µm: not written",

@@ -365,7 +365,7 @@ fn tried(fit: &Fit<'_>, unit: Unit, coefficients: &[f64]) -> Tried {
         if matches!(unit, Unit::Spikes(_)) {
             return residual(&columns, &y, &solve(&columns, &y, None, 0.0).coefficients);
         }
-        left_out(&columns, &y, &blocks)
+        held_out(&columns, &y, &blocks)
     });
     let count = blocks.iter().max().map_or(0, |last| last + 1);
     let mut gains = vec![0.0; count];
@@ -442,7 +442,7 @@ fn arcs(record: &Record) -> Vec<usize> {
 }
 
 /// Returns the residual of each row from the fit to all other arcs.
-fn left_out(columns: &[Vec<f64>], y: &[f64], blocks: &[usize]) -> Vec<f64> {
+fn held_out(columns: &[Vec<f64>], y: &[f64], blocks: &[usize]) -> Vec<f64> {
     let count = blocks.iter().max().map_or(0, |last| last + 1);
     let mut left = y.to_vec();
     for block in 0..count {

@@ -21,7 +21,7 @@ const STRUCTURE: f64 = 3.0;
 /// Structure below this share of the noise matters to no part.
 const SHARE_OF_NOISE: f64 = 0.5;
 /// The same in µm.
-const LEAST_STRUCTURE_UM: f64 = 0.2;
+const MIN_STRUCTURE_UM: f64 = 0.2;
 
 /// Explains a circle.
 pub fn explain(record: Record) -> CircleResult {
@@ -100,6 +100,6 @@ fn structure_um(record: &Record, left: &[f64]) -> Option<f64> {
     let um = (found - expected).max(0.0).sqrt();
     let is_there = means.len() > 8
         && found > STRUCTURE * expected
-        && um > (SHARE_OF_NOISE * noise).max(LEAST_STRUCTURE_UM);
+        && um > (SHARE_OF_NOISE * noise).max(MIN_STRUCTURE_UM);
     is_there.then_some(um)
 }

@@ -3,13 +3,13 @@
 use std::{f64::consts::TAU, ops::Range};
 
 use trueup_machine::{RunFile, file::LinearAxis};
-use trueup_numerics::{least_squares::Triangle, robust};
+use trueup_numerics::{least_squares::GivensQr, robust};
 
 /// Returns centre and radius of the circle of least squares through the points.
 pub(super) fn circle(points: &[[f64; 2]]) -> Option<([f64; 2], f64)> {
     let count = points.len() as f64;
     let middle = [0, 1].map(|axis| points.iter().map(|at| at[axis]).sum::<f64>() / count);
-    let mut triangle = Triangle::new(3);
+    let mut triangle = GivensQr::new(3);
     for at in points {
         let [u, v] = [at[0] - middle[0], at[1] - middle[1]];
         triangle.add(&[1.0, 2.0 * u, 2.0 * v], u * u + v * v);

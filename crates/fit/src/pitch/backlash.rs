@@ -15,7 +15,7 @@
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::{Edit, NewSection, rounded},
     file::{Backlash, Feedback, LinearAxis},
 };
@@ -67,7 +67,7 @@ pub struct BacklashFit {
 /// A column is missing or in another unit, a cell of a row is empty, a position comes twice in a
 /// run and direction, or no position was approached from both sides in one run.
 pub fn fit_backlash(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     axis: LinearAxis,
     options: &Options,
 ) -> Result<BacklashFit, BadInput> {

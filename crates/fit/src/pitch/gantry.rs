@@ -6,11 +6,11 @@
 
 use trueup_machine::{
     BadInput,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{Dual, Feedback, LinearAxis},
 };
 
-use super::{Options, PitchFit, Ways, fit};
+use super::{Options, PitchFit, TableMode, fit};
 use crate::report::{Fact, Report, Verdict};
 
 /// How far from a drive a reading may be, as a share of the beam: the other drive then counts for as much.
@@ -29,7 +29,7 @@ pub enum Drive {
 ///
 /// # Errors
 /// It stood elsewhere, or moved.
-pub fn drive_of(run: &Unaided<'_>, dual: &Dual) -> Result<Option<Drive>, BadInput> {
+pub fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Drive>, BadInput> {
     let column = format!("{}_mm", dual.across.name());
     let Some(places) = run.column(&column) else { return Ok(None) };
     let mut found = None;
@@ -60,10 +60,10 @@ pub fn drive_of(run: &Unaided<'_>, dual: &Dual) -> Result<Option<Drive>, BadInpu
 /// # Errors
 /// As [`fit`] and [`drive_of`]; two runs of the same drive, or more than two.
 pub fn fit_both<E: From<BadInput>>(
-    runs: &[Unaided<'_>],
+    runs: &[Uncompensated<'_>],
     axis: LinearAxis,
     dual: &Dual,
-    mut options: impl FnMut(&Unaided<'_>) -> Result<Options, E>,
+    mut options: impl FnMut(&Uncompensated<'_>) -> Result<Options, E>,
 ) -> Result<Report, E> {
     let mut of = [None, None];
     for run in runs {
@@ -126,17 +126,17 @@ fn largest(um: &[f64]) -> String {
 
 /// At the second drive the backlash of the axis is known.
 fn second_options(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     axis: LinearAxis,
     first: Option<&PitchFit>,
     options: Options,
 ) -> Options {
     let Some(first) = first else {
         // Without the first there is nothing that says how the axis reverses.
-        return Options { ways: Ways::One, feedback: Feedback::Scale, ..options };
+        return Options { ways: TableMode::One, feedback: Feedback::Scale, ..options };
     };
     if first.pitch.as_ref().is_some_and(|pitch| pitch.reverse_um.is_some()) {
-        return Options { ways: Ways::Both, ..options };
+        return Options { ways: TableMode::Both, ..options };
     }
     let width_um = first.backlash.map_or(0.0, |backlash| backlash.width_um);
     let mut known_um = options.known_um.unwrap_or_else(|| vec![0.0; run.rows()]);
@@ -145,7 +145,7 @@ fn second_options(
             *known += if *way < 0.0 { width_um } else { 0.0 };
         }
     }
-    Options { ways: Ways::One, feedback: Feedback::Scale, known_um: Some(known_um), ..options }
+    Options { ways: TableMode::One, feedback: Feedback::Scale, known_um: Some(known_um), ..options }
 }
 
 /// Returns the report of the second drive's own table.

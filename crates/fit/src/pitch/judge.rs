@@ -1,6 +1,6 @@
 //! The residuals of each correction on runs that it has not seen: the figures of the report.
 //!
-//! The runs are left out in turn (in at most [`MOST_FOLDS`] blocks of consecutive runs); each
+//! The runs are left out in turn (in at most [`MAX_FOLDS`] blocks of consecutive runs); each
 //! correction is fitted to the others and judged on the one left out by its mean square error, as the
 //! machine's own model has it, with the table at its own points. Whether a correction is worth it is
 //! decided elsewhere ([`trueup_numerics::repeats`]). Why one that is refused has no gain is said with two
@@ -28,7 +28,7 @@ use super::{
 };
 
 /// More runs than this are left out in blocks.
-const MOST_FOLDS: usize = 20;
+const MAX_FOLDS: usize = 20;
 
 /// Mean squares nearer than this, in µm², are equal.
 const RESOLUTION_UM2: f64 = 1e-6;
@@ -227,7 +227,7 @@ pub(super) fn student(freedom: usize, probability: f64) -> Option<f64> {
 
 /// Returns the number of blocks in which `runs` are left out.
 pub(super) fn folds(runs: usize) -> usize {
-    runs.min(MOST_FOLDS)
+    runs.min(MAX_FOLDS)
 }
 
 /// Returns the block of `run` among `runs`.

@@ -3,14 +3,14 @@
 //!
 //! A target is a position that is meant to be the same: positions nearer to each other than a tenth
 //! of the smallest step of any sweep are one target. A record of more positions than
-//! [`MOST_TARGETS`] is not a list of targets; it is gathered in as many cells of equal width.
+//! [`MAX_TARGETS`] is not a list of targets; it is gathered in as many cells of equal width.
 //!
 //! Repeats have their number in the column `run`. Without it the j-th arrival at a target in one
 //! direction is of run j; where no position comes again, the j-th sweep in a direction is.
 
 use std::{borrow::Cow, collections::HashMap};
 
-use trueup_machine::{BadInput, applied::Unaided, file::LinearAxis, model::is_reverse};
+use trueup_machine::{BadInput, applied::Uncompensated, file::LinearAxis, model::is_reverse};
 use trueup_numerics::repeats::{self, gross, places};
 
 use crate::report::SetAside;
@@ -20,7 +20,7 @@ pub(super) const FEED: &str = "feed_mm_per_min";
 /// Feeds nearer than this share are one, as speeds of a spindle are.
 pub(super) const SAME_FEED: f64 = 0.02;
 /// More positions than this are gathered in cells.
-pub(super) const MOST_TARGETS: usize = 2048;
+pub(super) const MAX_TARGETS: usize = 2048;
 
 /// One measured value.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,7 +97,7 @@ impl Readings {
     /// # Errors
     /// A column is missing or in another unit; a value is missing in a row of this quantity; no
     /// reading is left; positions do not go with their direction; a position comes twice in a run.
-    pub(super) fn of(file: &Unaided<'_>, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
+    pub(super) fn of(file: &Uncompensated<'_>, wanted: &Wanted<'_>) -> Result<Self, BadInput> {
         let axis = wanted.axis.name();
         let names = Names {
             position: format!("{axis}_mm"),
@@ -153,7 +153,7 @@ impl Readings {
     /// Takes out the readings that stand alone among the repeats of their target, and says why.
     pub(super) fn set_gross_aside(
         &mut self,
-        file: &Unaided<'_>,
+        file: &Uncompensated<'_>,
         axis: LinearAxis,
     ) -> Vec<SetAside> {
         if self.is_record {
@@ -207,14 +207,18 @@ impl Readings {
 }
 
 /// Returns an error at the header, its rule still to be said.
-fn no_column(file: &Unaided<'_>, name: &str) -> BadInput {
+fn no_column(file: &Uncompensated<'_>, name: &str) -> BadInput {
     // The empty name is never there, so that the place comes even where `name` is.
     let place = file.require("").map_or_else(|bad| bad.place, |_| file.place(0, name));
     BadInput::new(place, String::new())
 }
 
 /// Returns the column `stem_unit`, which must not be there in another unit, be it next to it or instead.
-fn column_in<'f>(file: &'f Unaided<'_>, stem: &str, unit: &str) -> Result<&'f [f64], BadInput> {
+fn column_in<'f>(
+    file: &'f Uncompensated<'_>,
+    stem: &str,
+    unit: &str,
+) -> Result<&'f [f64], BadInput> {
     const LENGTHS: [&str; 7] = ["nm", "um", "mm", "cm", "m", "in", "inch"];
     let name = format!("{stem}_{unit}");
     for other in LENGTHS.iter().filter(|&&other| other != unit) {
@@ -234,7 +238,7 @@ fn column_in<'f>(file: &'f Unaided<'_>, stem: &str, unit: &str) -> Result<&'f [f
 }
 
 fn raw_rows(
-    file: &Unaided<'_>,
+    file: &Uncompensated<'_>,
     names: &Names,
     wanted: &Wanted<'_>,
 ) -> Result<(Vec<Raw>, usize), BadInput> {
@@ -311,21 +315,21 @@ fn targets_of(rows: &[Raw]) -> (Vec<f64>, Vec<usize>, bool) {
     let (Some(&start), Some(&end)) = (targets.first(), targets.last()) else {
         return (targets, target_of, false);
     };
-    if targets.len() <= MOST_TARGETS {
+    if targets.len() <= MAX_TARGETS {
         return (targets, target_of, false);
     }
     // The mean of each cell that has a position.
-    let mut cells = vec![(0.0, 0.0); MOST_TARGETS];
+    let mut cells = vec![(0.0, 0.0); MAX_TARGETS];
     let cell = |position: f64| {
         let share = (position - start) / (end - start);
-        ((share * MOST_TARGETS as f64).max(0.0) as usize).min(MOST_TARGETS - 1)
+        ((share * MAX_TARGETS as f64).max(0.0) as usize).min(MAX_TARGETS - 1)
     };
     for &position in &positions {
         let (sum, count) = &mut cells[cell(position)];
         *sum += position;
         *count += 1.0;
     }
-    let mut number = vec![0; MOST_TARGETS];
+    let mut number = vec![0; MAX_TARGETS];
     let mut targets = Vec::new();
     for (cell, (sum, count)) in cells.into_iter().enumerate().filter(|(_, (_, n))| *n > 0.0) {
         number[cell] = targets.len();
@@ -380,7 +384,7 @@ fn way_name(way: usize) -> &'static str {
 
 /// Within a run a position is measured once in each direction.
 fn check_repeats(
-    file: &Unaided<'_>,
+    file: &Uncompensated<'_>,
     names: &Names,
     rows: &[Raw],
     target_of_row: &[usize],
@@ -408,7 +412,7 @@ fn check_repeats(
 /// by position. Without run numbers a step back to a target that was there before, or over half the
 /// travel, begins the next sweep.
 fn check_order(
-    file: &Unaided<'_>,
+    file: &Uncompensated<'_>,
     names: &Names,
     rows: &[Raw],
     target_of_row: &[usize],

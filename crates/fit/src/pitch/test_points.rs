@@ -19,7 +19,7 @@ const LIKELY_PITCHES_MM: [f64; 17] =
 const HIDDEN_SHARE: f64 = 0.1;
 
 /// Fewer targets have one phase by chance.
-const FEWEST_TARGETS: usize = 3;
+const MIN_TARGETS: usize = 3;
 
 /// Returns the likely pitches, in mm, of which `targets_mm` show next to nothing.
 ///
@@ -30,7 +30,7 @@ const FEWEST_TARGETS: usize = 3;
 /// ```
 #[must_use]
 pub fn hidden_pitches(targets_mm: &[f64]) -> Vec<f64> {
-    if targets_mm.len() < FEWEST_TARGETS {
+    if targets_mm.len() < MIN_TARGETS {
         return Vec::new();
     }
     let span = targets_mm.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b))

@@ -9,7 +9,7 @@ use super::{
     Fit, Method, Options,
     model::{Model, Polynomial},
     paper,
-    path::{Found, MOST_CELLS},
+    path::{Found, MAX_CELLS},
     residual::Residual,
     sites::Sites,
 };
@@ -149,7 +149,7 @@ pub(super) fn models(fit: &Fit) -> Vec<(Way, Model)> {
 
 /// Returns how the largest residual falls as points join by the paper's way: control points, and µm.
 pub(super) fn papers_steps(fit: &Fit) -> Vec<(usize, f64)> {
-    paper::fit(&fit.sites.thinned(MOST_CELLS), tolerance(fit), paper::Control::Readings).steps
+    paper::fit(&fit.sites.thinned(MAX_CELLS), tolerance(fit), paper::Control::Readings).steps
 }
 
 /// Returns what the paper's rule takes for its ε: the tolerance, else what the fit has left.
@@ -165,7 +165,7 @@ fn model_of(fit: &Fit, way: Way, sites: &Sites) -> Model {
         most_coefficients: fit.most_coefficients,
     };
     let papers = |control| {
-        Model::Spline(paper::fit(&sites.thinned(MOST_CELLS), tolerance(fit), control).spline)
+        Model::Spline(paper::fit(&sites.thinned(MAX_CELLS), tolerance(fit), control).spline)
     };
     match way {
         Way::Paper => papers(paper::Control::Readings),

@@ -26,7 +26,7 @@ pub(super) const ORDER: usize = 4;
 
 /// How sure of each coefficient the data must be, as the sine that
 /// [`Banded::least_sine`] gives: where points are too few, no knot.
-const LEAST_SINE: f64 = 0.03;
+const MIN_SINE: f64 = 0.03;
 
 /// Inner knots, and what they leave.
 #[derive(Clone, Debug)]
@@ -83,7 +83,7 @@ impl<'s> Search<'s> {
         };
         is_supported
             .then(|| least_squares(knots.clone(), ORDER, self.sites.points()))?
-            .filter(|fit| fit.triangle.least_sine() > LEAST_SINE)
+            .filter(|fit| fit.triangle.least_sine() > MIN_SINE)
     }
 
     /// These inner knots as they are.
@@ -215,12 +215,12 @@ impl<'s> Search<'s> {
 
     /// Puts the knot that is missed least where it gains most, as long as that gains.
     fn relocate(&self, mut best: Placed) -> Placed {
-        const LEAST_GAIN: f64 = 1e-3;
+        const MIN_GAIN: f64 = 1e-3;
         for _ in 0..best.inner.len() {
             let Some(without) = self.without_least(&best) else { break };
             let moved = self.insertions(&without, 2).into_iter().map(|start| self.slide(start));
             match moved.min_by(|a, b| a.sum_of_squares.total_cmp(&b.sum_of_squares)) {
-                Some(moved) if moved.sum_of_squares < (1.0 - LEAST_GAIN) * best.sum_of_squares => {
+                Some(moved) if moved.sum_of_squares < (1.0 - MIN_GAIN) * best.sum_of_squares => {
                     best = moved;
                 }
                 _ => break,
@@ -231,15 +231,15 @@ impl<'s> Search<'s> {
 
     /// Slides all knots to the bottom of their valley.
     fn slide(&self, mut at: Placed) -> Placed {
-        const MOST_STEPS: usize = 30;
-        const LEAST_GAIN: f64 = 1e-4;
+        const MAX_STEPS: usize = 30;
+        const MIN_GAIN: f64 = 1e-4;
         const STEEPEST_DESCENT: f64 = 1e6;
         if at.inner.is_empty() {
             return at;
         }
         let mut damping = 1e-2;
         let mut small_gains = 0;
-        for _ in 0..MOST_STEPS {
+        for _ in 0..MAX_STEPS {
             let Some((curvature, slope)) = self.downhill(&at.inner) else { break };
             let next = loop {
                 let next = self.step(&at, &curvature, &slope, damping);
@@ -255,7 +255,7 @@ impl<'s> Search<'s> {
             let Some(next) = next else { break };
             let gain = 1.0 - next.sum_of_squares / at.sum_of_squares;
             at = next;
-            small_gains = if gain < LEAST_GAIN { small_gains + 1 } else { 0 };
+            small_gains = if gain < MIN_GAIN { small_gains + 1 } else { 0 };
             if small_gains == 2 {
                 break;
             }

@@ -1,7 +1,7 @@
 //! A curve as each of the [ways](super::Way) has it: value, slope, curvature, and the corners of lines.
 
 use trueup_machine::{file::BSpline, model::spline_um};
-use trueup_numerics::least_squares::Triangle;
+use trueup_numerics::least_squares::GivensQr;
 
 use super::{residual::Residual, sites::Sites};
 use crate::bspline::{derivatives, steepest};
@@ -115,7 +115,7 @@ impl Polynomial {
         let count = (degree + 1).min(sites.len() - 1);
         let mut row = vec![0.0; count];
         for count in (1..=count).rev() {
-            let mut triangle = Triangle::new(count);
+            let mut triangle = GivensQr::new(count);
             for (x, y, weight) in sites.points() {
                 let root = weight.sqrt();
                 let values = chebyshev(local(ends, x)).map(|[t, ..]| root * t);

@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF as _, FisherSnedecor};
 use trueup_machine::file::BSpline;
 
 use super::{
-    MOST_COEFFICIENTS, Method, Options, PATIENCE, Residual, Stop,
+    MAX_COEFFICIENTS, Method, Options, PATIENCE, Residual, Stop,
     knots::{ORDER, Search, Support},
     paper,
     sites::Sites,
@@ -14,7 +14,7 @@ use crate::bspline::{clamped, least_squares};
 
 /// Knots are looked for over at most this many sites; of more, neighbours are joined. The fit itself,
 /// its residuals and the criterion take all of them.
-pub(super) const MOST_CELLS: usize = 600;
+pub(super) const MAX_CELLS: usize = 600;
 
 /// A spline, and why it has no more coefficients.
 pub(super) struct Found {
@@ -39,7 +39,7 @@ impl Found {
     }
 
     fn least_squares(sites: &Sites, options: &Options) -> Self {
-        let cells = sites.thinned(MOST_CELLS);
+        let cells = sites.thinned(MAX_CELLS);
         let found = Self::with_support(sites, &cells, options, Support::EverySecond);
         let is_short_of_points = found.stopped == Stop::Points && options.tolerance_um.is_some();
         if !is_short_of_points {
@@ -68,7 +68,7 @@ impl Found {
                 return path.end(Stop::Noise);
             }
             let coefficients = ORDER + at.inner.len() + 1;
-            if coefficients > options.most_coefficients.min(MOST_COEFFICIENTS) {
+            if coefficients > options.most_coefficients.min(MAX_COEFFICIENTS) {
                 return path.end(Stop::Coefficients);
             }
             // A knot counts for its place and for its coefficient, and something has to be left.

@@ -2,7 +2,7 @@
 
 use trueup_machine::{
     BadInput, Location,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{LinearAxis, Straightness},
 };
 
@@ -42,7 +42,7 @@ impl StraightnessCurve {
 /// The quantity is not there, or there are several and none is named; no axis moves, several do, or
 /// it is the axis that is in error; a [`FitError`], with its row.
 pub fn fit_run(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     quantity: Option<&str>,
     options: &Options,
 ) -> Result<StraightnessCurve, BadInput> {
@@ -72,7 +72,7 @@ pub(super) fn error_column(axis: LinearAxis) -> String {
 
 /// Returns the axis whose error is to be fitted.
 pub(super) fn error_axis(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     quantity: Option<&str>,
 ) -> Result<LinearAxis, BadInput> {
     let whole = |rule: String| BadInput::new(Location::start_of(run.path()), rule);
@@ -104,7 +104,7 @@ pub(super) fn error_axis(
 }
 
 /// Returns the axes whose positions a run has, each with how far it goes in mm where the error is measured.
-fn travels(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
+fn travels(run: &Uncompensated<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     let travel = |axis: LinearAxis| -> Option<f64> {
         let positions = run.column(&format!("{}_mm", axis.name()))?.iter().zip(errors);
         let there = positions.filter(|(x, y)| !x.is_nan() && !y.is_nan()).map(|(&x, _)| x);
@@ -116,7 +116,7 @@ fn travels(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
 }
 
 /// Those of `travels` that move.
-pub(super) fn moving(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
+pub(super) fn moving(run: &Uncompensated<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)> {
     /// An axis that stands still reads back a little of the other's travel.
     const STILL: f64 = 1e-3;
     let mut travels = travels(run, errors);
@@ -127,7 +127,7 @@ pub(super) fn moving(run: &Unaided<'_>, errors: &[f64]) -> Vec<(LinearAxis, f64)
 
 /// Returns the one axis that moves while the error is measured.
 fn moving_axis(
-    run: &Unaided<'_>,
+    run: &Uncompensated<'_>,
     error: LinearAxis,
     errors: &[f64],
 ) -> Result<LinearAxis, BadInput> {

@@ -8,7 +8,7 @@
 
 mod page;
 
-use trueup_machine::{BadInput, applied::Unaided, file::LinearAxis};
+use trueup_machine::{BadInput, applied::Uncompensated, file::LinearAxis};
 use trueup_page::Origin;
 
 use super::{
@@ -107,7 +107,7 @@ impl Table1 {
 ///
 /// # Errors
 /// Those of [`fit_run`]; a diagonal whose error's own axis moves, that is not straight, or of which a curve is missing.
-pub fn table1(runs: &[Unaided<'_>], asked: &Asked<'_>) -> Result<Table1, BadInput> {
+pub fn table1(runs: &[Uncompensated<'_>], asked: &Asked<'_>) -> Result<Table1, BadInput> {
     let mut curves: Vec<StraightnessCurve> = Vec::new();
     let mut diagonals: Vec<Diagonal<'_>> = Vec::new();
     for run in runs {
@@ -164,7 +164,7 @@ fn shifted(sites: &Sites, by_mm: f64) -> Sites {
 
 /// A run in which several axes move.
 struct Diagonal<'r> {
-    run: &'r Unaided<'r>,
+    run: &'r Uncompensated<'r>,
     error: LinearAxis,
     axes: Vec<LinearAxis>,
 }

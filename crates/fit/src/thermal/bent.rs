@@ -18,7 +18,7 @@ const WORTH_ONCE: f64 = 0.5;
 /// More rows than the best table are worth this share.
 const WORTH_ROWS: f64 = 0.05;
 /// The search looks at no more rows than these; the table that is found is fitted to all.
-const MOST_ROWS: usize = 20_000;
+const MAX_ROWS: usize = 20_000;
 /// Rows for each of a table's values.
 const ROWS_A_VALUE: usize = 6;
 /// Where a kink is tried first: this many equal parts between the coldest and the warmest.
@@ -64,7 +64,7 @@ fn search(
 ) -> Option<(f64, Bend)> {
     let used: Vec<usize> = (0..data.y.len()).filter(|row| !data.y[*row].is_nan()).collect();
     let rows: Vec<usize> =
-        used.iter().copied().step_by(used.len().div_ceil(MOST_ROWS).max(1)).collect();
+        used.iter().copied().step_by(used.len().div_ceil(MAX_ROWS).max(1)).collect();
     let pick =
         |of: &[f64]| -> Vec<f64> { rows.iter().filter_map(|row| of.get(*row)).copied().collect() };
     let groups: Option<Vec<usize>> = groups.map(|of| rows.iter().map(|row| of[*row]).collect());
@@ -76,7 +76,7 @@ fn search(
         let trial = Trial { lagged_c: pick(&data.lagged_c(lag_s)), arm_m: &arm_m, y: &y, mode };
         let tables = ROWS.iter().map(|count| trial.even(*count));
         for knots_c in trial.kink().into_iter().chain(tables) {
-            if let Some(rms_um) = trial.left_out(&knots_c, groups.as_deref()) {
+            if let Some(rms_um) = trial.held_out(&knots_c, groups.as_deref()) {
                 found.push((rms_um, Bend { knots_c, lag_s, is_once: false }));
             }
         }
@@ -137,12 +137,12 @@ impl Trial<'_> {
 
     /// Returns what a table with these rows leaves of left-out rows, in µm RMS; `None` where the rows do
     /// not decide it.
-    fn left_out(&self, knots_c: &[f64], groups: Option<&[usize]>) -> Option<f64> {
+    fn held_out(&self, knots_c: &[f64], groups: Option<&[usize]>) -> Option<f64> {
         let columns = self.columns(knots_c);
         if self.y.len() < ROWS_A_VALUE * columns.len() {
             return None;
         }
-        let left_out = rows::left_out(&columns, self.y, groups)?;
+        let left_out = rows::held_out(&columns, self.y, groups)?;
         Spread::of(&left_out).map(|spread| spread.rms_um)
     }
 }

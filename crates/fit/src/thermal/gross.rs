@@ -64,9 +64,9 @@ impl Data {
     fn ranges(&self) -> Vec<usize> {
         /// Rows of a range, at least: five for each column of the law.
         const ROWS: usize = 20;
-        const MOST: usize = 8;
+        const MAX: usize = 8;
         let used = self.by_temperature();
-        let count = (used.len() / ROWS).clamp(1, MOST);
+        let count = (used.len() / ROWS).clamp(1, MAX);
         let mut ranges = vec![0; self.y.len()];
         for (at, row) in used.iter().enumerate() {
             ranges[*row] = at * count / used.len();

@@ -188,7 +188,7 @@ impl FittedTable {
 }
 
 /// Returns the residuals of left-out groups from a table with these knots, and how they were left out.
-pub(super) fn left_out(
+pub(super) fn held_out(
     data: &Data,
     mode: ThermalMode,
     lag_s: f64,
@@ -196,11 +196,11 @@ pub(super) fn left_out(
     (groups, by): (Option<&[usize]>, String),
 ) -> (Option<Vec<f64>>, String) {
     let columns = columns(&data.lagged_c(lag_s), &data.arm_m, mode, knots);
-    match rows::left_out(&columns, &data.y, groups) {
+    match rows::held_out(&columns, &data.y, groups) {
         Some(left_out) => (Some(left_out), by),
         // Whole runs at one temperature are whole rows of the table: without such a run its row is
         // not decided, and rows must be left out singly.
-        None => (rows::left_out(&columns, &data.y, None), "each row in turn".into()),
+        None => (rows::held_out(&columns, &data.y, None), "each row in turn".into()),
     }
 }
 

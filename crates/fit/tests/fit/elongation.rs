@@ -7,13 +7,13 @@ use crate::support::{
     unaided,
 };
 use trueup_fit::{Verdict, elongation};
-use trueup_machine::{RunFile, applied::Unaided, file::ElongationSource};
+use trueup_machine::{RunFile, applied::Uncompensated, file::ElongationSource};
 use trueup_measured_data::file as measured;
 
 const PAPER: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
     [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5048.0 # cold\num_per_count = 0.0152587890625\n";
 
-fn fit(run: Unaided<'_>, text: &str) -> trueup_fit::Report {
+fn fit(run: Uncompensated<'_>, text: &str) -> trueup_fit::Report {
     let machine = machine(text);
     elongation::fit(&[run], Some(&machine), &elongation::Options::default()).expect("a fit")
 }

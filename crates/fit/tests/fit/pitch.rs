@@ -7,11 +7,11 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, Normal};
 use trueup_fit::{
     Verdict,
-    pitch::{Options, PitchFit, Ways, WidthRule, fit, fit_backlash},
+    pitch::{Options, PitchFit, TableMode, WidthRule, fit, fit_backlash},
     report::FactValue,
 };
 use trueup_machine::{
-    applied::Unaided,
+    applied::Uncompensated,
     file::{Feedback, LinearAxis},
     predict::Predictor,
 };
@@ -25,7 +25,7 @@ fn shape(x: f64) -> f64 {
     15.0 * (x / 90.0).sin() + 0.02 * x
 }
 
-fn fitted(run: &Unaided<'_>, options: &Options) -> PitchFit {
+fn fitted(run: &Uncompensated<'_>, options: &Options) -> PitchFit {
     fit(run, X, options).expect("the test's own run keeps the rules")
 }
 
@@ -304,7 +304,7 @@ fn an_even_backlash_is_not_called_dependent_on_position() {
 }
 
 /// Returns a record while the axis moves: `count` rows of position, direction, error, each sweep of 1000.
-fn record(count: usize) -> Unaided<'static> {
+fn record(count: usize) -> Uncompensated<'static> {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut noise = noise(12, 1.0);
     let mut text = String::from("x_mm,dir_x,measured_dx_um\n");
@@ -319,7 +319,7 @@ fn record(count: usize) -> Unaided<'static> {
     run_of(&text)
 }
 
-fn check_record(run: &Unaided<'_>) {
+fn check_record(run: &Uncompensated<'_>) {
     let fit = fitted(run, &Options::default());
     let pitch = fit.pitch.expect("it repeats");
     let width_um = fit.backlash.expect("a backlash is in it").width_um;
@@ -352,7 +352,7 @@ fn campaign_a_million_rows_are_fitted() {
     check_record(&record(1_000_000));
     let targets: Vec<f64> = (0..500).map(|n| f64::from(n) * 0.8).collect();
     let run = run_of(&sweeps(1000, &targets, |run, x, dir| shape(x) - dir + (run % 7) as f64));
-    let fit = fitted(&run, &Options { ways: Ways::Automatic, ..Options::default() });
+    let fit = fitted(&run, &Options { ways: TableMode::Automatic, ..Options::default() });
     println!("{} rows of {} targets: {:?}", run.rows(), targets.len(), fit.report.left_out);
     assert!((fit.backlash.expect("it repeats").width_um - 2.0).abs() < 1e-3);
 }

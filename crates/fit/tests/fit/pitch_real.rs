@@ -7,26 +7,26 @@
 use crate::pitch_support::{left_by_model, rms, unaided};
 use trueup_fit::{
     Verdict,
-    pitch::{Options, Ways, fit, fit_backlash},
+    pitch::{Options, TableMode, fit, fit_backlash},
 };
 use trueup_machine::{
     RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{LinearAxis, write::Edit},
 };
 
 /// Returns the run of this name, `None` (and a line that says so) where the data are not there.
-fn measured(name: &str) -> Option<Unaided<'static>> {
+fn measured(name: &str) -> Option<Uncompensated<'static>> {
     let path = trueup_measured_data::file(&format!("ess_iso230/{name}"))?;
     Some(unaided(RunFile::read(&path).expect("the data are a run file")))
 }
 
-fn first_three(ways: Ways) -> Options {
+fn first_three(ways: TableMode) -> Options {
     Options { ways, runs: Some(vec![1.0, 2.0, 3.0]), ..Options::default() }
 }
 
 /// Returns the rms on runs 4 and 5 after a fit on 1 to 3.
-fn tested(run: &Unaided<'_>, name: &str, ways: Ways) -> f64 {
+fn tested(run: &Uncompensated<'_>, name: &str, ways: TableMode) -> f64 {
     let fit = fit(run, LinearAxis::X, &first_three(ways)).expect("the run can be fitted");
     assert!(fit.report.verdict.is_fitted(), "{name}: {:?}", fit.report.verdict);
     let left = left_by_model(run, &fit.report.edit, &[4.0, 5.0]);
@@ -48,7 +48,7 @@ fn tested(run: &Unaided<'_>, name: &str, ways: Ways) -> f64 {
 fn runs_that_were_not_fitted_are_corrected_to_the_repeatability_of_the_axis() {
     for (name, wanted_um) in [("x.csv", 5.3), ("z.csv", 1.25)] {
         let Some(run) = measured(name) else { return };
-        for ways in [Ways::Automatic, Ways::One, Ways::Both] {
+        for ways in [TableMode::Automatic, TableMode::One, TableMode::Both] {
             let um = tested(&run, name, ways);
             assert!(um <= wanted_um, "{name} {ways:?}: {um}");
         }
@@ -58,7 +58,7 @@ fn runs_that_were_not_fitted_are_corrected_to_the_repeatability_of_the_axis() {
 #[test]
 fn an_axis_that_does_not_repeat_is_refused_with_its_figures() {
     let Some(run) = measured("muts_x.csv") else { return };
-    for options in [first_three(Ways::Automatic), Options::default()] {
+    for options in [first_three(TableMode::Automatic), Options::default()] {
         let fit = fit(&run, LinearAxis::X, &options).expect("the run can be read");
         let Verdict::DoNotCompensate(reasons) = &fit.report.verdict else {
             panic!("compensated: {:?}", fit.report)

@@ -1,10 +1,10 @@
 //! The rules that a run must keep to be fitted: every broken rule is named with its line and column.
 
 use crate::pitch_support::run_of;
-use trueup_fit::pitch::{Options, Ways, fit, fit_backlash};
+use trueup_fit::pitch::{Options, TableMode, fit, fit_backlash};
 use trueup_machine::file::LinearAxis;
 
-fn error(text: &str, ways: Ways) -> String {
+fn error(text: &str, ways: TableMode) -> String {
     let options = Options { ways, ..Options::default() };
     fit(&run_of(text), LinearAxis::X, &options).expect_err("a rule is broken").to_string()
 }
@@ -18,7 +18,7 @@ fn a_broken_rule_is_named_with_its_place() {
         ("1,10,-1,2\n1,0,-1,3\n1,5,-1,3\n", "r.csv:4:3:", "5 follows 0 though dir_x is -1"),
         ("1,5,1,2\n2,5,1,3\n", "r.csv:2:3:", "5 is the only position"),
     ] {
-        let error = error(&format!("{HEAD}{rows}"), Ways::Automatic);
+        let error = error(&format!("{HEAD}{rows}"), TableMode::Automatic);
         assert!(error.starts_with(place) && error.contains(rule), "{rows:?}: {error}");
     }
 }
@@ -33,7 +33,7 @@ fn a_missing_or_foreign_column_is_named() {
         ("x_mm,dir_x,measured_dx_mm\n0,1,1\n", "measured_dx_mm is in another unit"),
         ("x_mm,x_in,dir_x,measured_dx_um\n0,0,1,1\n", "mixed units: there are both x_mm and x_in"),
     ] {
-        let error = error(text, Ways::Automatic);
+        let error = error(text, TableMode::Automatic);
         assert!(error.starts_with("r.csv:1:1:") && error.contains(rule), "{text:?}: {error}");
     }
 }
@@ -41,7 +41,7 @@ fn a_missing_or_foreign_column_is_named() {
 #[test]
 fn a_direction_that_is_asked_for_must_be_measured() {
     let text = "x_mm,dir_x,measured_dx_um\n0,1,1\n5,1,2\n0,1,1\n5,1,2\n";
-    let error = error(text, Ways::Both);
+    let error = error(text, TableMode::Both);
     assert!(error.starts_with("r.csv:2:3:") && error.contains("dir_x is never -1"), "{error}");
     let error = fit_backlash(&run_of(text), LinearAxis::X, &Options::default())
         .expect_err("one side only")
@@ -53,7 +53,7 @@ fn a_direction_that_is_asked_for_must_be_measured() {
 fn swapped_rows_without_run_numbers_are_found() {
     let error = error(
         "x_mm,dir_x,measured_dx_um\n0,1,1\n15,1,2\n10,1,2\n20,1,1\n30,1,1\n",
-        Ways::Automatic,
+        TableMode::Automatic,
     );
     assert!(error.starts_with("r.csv:4:1:") && error.contains("10 follows 15"), "{error}");
 }

@@ -11,7 +11,7 @@ use trueup_fit::{
         Fit, FitError, Method, Options, ReferenceLine, Stop, StraightnessCurve, fit, fit_run,
     },
 };
-use trueup_machine::{RunFile, applied::Unaided, file::BSpline, model::spline_um};
+use trueup_machine::{RunFile, applied::Uncompensated, file::BSpline, model::spline_um};
 
 fn every(step_mm: f64, travel_mm: f64) -> Vec<f64> {
     (0..=(travel_mm / step_mm).round() as u32).map(|n| f64::from(n) * step_mm).collect()
@@ -231,7 +231,7 @@ fn what_is_no_curve_is_refused_by_name() {
 
 fn from_csv(text: &str, quantity: Option<&str>) -> Result<StraightnessCurve, String> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("the test's own");
-    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
     fit_run(&run, quantity, &tolerance(9.0)).map_err(|bad| bad.to_string())
 }
 
@@ -321,7 +321,7 @@ fn a_bad_reading_among_three_passes_is_excluded_by_its_line_and_bends_no_curve()
         text += &format!("{},{x},{um:.3}\n", row / 21);
     }
     let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run file");
-    let (run, _) = Unaided::of(Cow::Owned(run), None, None).expect("no bridge");
+    let (run, _) = Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge");
     let report = trueup_fit::curve::fit(&run, None, |_| Ok(None), &Options::default());
     let report = report.expect("a curve");
     let [excluded] = &report.set_aside[..] else { panic!("{:?}", report.set_aside) };

@@ -9,7 +9,7 @@ use trueup_fit::straightness::{
     Options, Way,
     table1::{Asked, Entry, Left, Row, Table1, table1},
 };
-use trueup_machine::{RunFile, applied::Unaided};
+use trueup_machine::{RunFile, applied::Uncompensated};
 
 /// The paper's feed, and a control's cycle.
 const FEED_MM_PER_MIN: f64 = 1000.0;
@@ -20,13 +20,13 @@ const SETS: std::ops::Range<u64> = 0..8;
 const DIAGONALS: [(&str, [usize; 2], [f64; 2]); 3] =
     [("z", [0, 2], [160.0, 7.9]), ("y", [1, 5], [91.0, 8.0]), ("x", [3, 4], [41.0, 3.6])];
 
-fn run(text: &str) -> Unaided<'static> {
+fn run(text: &str) -> Uncompensated<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv")).expect("a run file");
-    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// `z_of_x` of a set, as a laser reads it.
-fn curve(set: u64, number: usize) -> (Guideway, Unaided<'static>) {
+fn curve(set: u64, number: usize) -> (Guideway, Uncompensated<'static>) {
     let (name, travel_mm, step_mm, range_um, _) = CURVES[number];
     let seed = 100 * set + number as u64;
     let way = Guideway::new(seed, travel_mm, range_um);
@@ -39,7 +39,7 @@ fn curve(set: u64, number: usize) -> (Guideway, Unaided<'static>) {
 }
 
 /// Returns the diagonal of two curves, read every 240 mm of the longer axis where that is X, else at 60 places.
-fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Unaided<'static> {
+fn diagonal(set: u64, error: &str, pair: [usize; 2]) -> Uncompensated<'static> {
     let ways = pair.map(|number| curve(set, number).0);
     let names = pair.map(|number| &CURVES[number].0[5..]);
     let places = if ways[0].travel_mm > 10_000.0 { (ways[0].travel_mm / 240.0) as u32 } else { 60 };

@@ -6,17 +6,17 @@ use crate::support::{
 use trueup_fit::{Report, Verdict, report::FactValue, thermal};
 use trueup_machine::{
     RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     file::{LinearAxis, ThermalMode},
 };
 use trueup_measured_data::file as measured;
 
-fn fit(run: &Unaided<'_>, options: &thermal::Options) -> Report {
+fn fit(run: &Uncompensated<'_>, options: &thermal::Options) -> Report {
     thermal::fit(std::slice::from_ref(run), LinearAxis::X, None, options).expect("a fit")
 }
 
 /// Returns an axis that is scanned at 0…1000 mm every 10 minutes while its screw warms up and cools.
-fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Unaided<'static> {
+fn scanned(law: impl Fn(f64, f64) -> f64, lag_s: f64, noise_um: f64) -> Uncompensated<'static> {
     let mut noise = Noise::seeded(21);
     let columns = ["time_s", "x_mm", "temp_screw_c", "measured_dx_um"];
     let mut values = vec![Vec::new(); 4];

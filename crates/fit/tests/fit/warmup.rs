@@ -6,7 +6,7 @@ use crate::support::{
 };
 use trueup_fit::{Report, Verdict, warmup};
 use trueup_machine::{
-    applied::Unaided,
+    applied::Uncompensated,
     file::{ElongationSource, Warmup},
     model::{WarmupState, warmup_um},
 };
@@ -29,7 +29,7 @@ fn recorded(
     rpm: impl Fn(f64) -> f64,
     noise_um: f64,
     seed: u64,
-) -> Unaided<'static> {
+) -> Uncompensated<'static> {
     let mut noise = Noise::seeded(seed);
     let mut state = WarmupState::default();
     let time: Vec<f64> = (0..rows).map(|row| interval_s * row as f64).collect();
@@ -42,7 +42,7 @@ fn recorded(
     run(&[("time_s", &time), ("spindle_rpm", &speed), ("measured_elongation_um", &y)])
 }
 
-fn fit(runs: &[Unaided<'_>]) -> Report {
+fn fit(runs: &[Uncompensated<'_>]) -> Report {
     let report = warmup::fit(runs, None).expect("a fit");
     report.parameters.iter().for_each(|parameter| println!("{parameter}"));
     report.warnings.iter().for_each(|warning| println!("{warning}"));
@@ -123,7 +123,7 @@ fn speeds_and_stops_give_the_speed_exponent_and_the_cooling() {
 
 #[test]
 fn each_speed_alone_is_reported_where_each_has_its_run() {
-    let runs: Vec<Unaided<'_>> = [12_000.0, 24_000.0]
+    let runs: Vec<Uncompensated<'_>> = [12_000.0, 24_000.0]
         .into_iter()
         .map(|rpm| {
             let truth = Warmup { max_um: rpm / 300.0, ..TRUTH };

@@ -18,13 +18,13 @@ fn hub() -> Hub {
     Hub::new(Pinned::new(Rule::Any))
 }
 
-fn say(hub: &mut Hub, now: u64, offset: Option<i32>) {
+fn transmit(hub: &mut Hub, now: u64, offset: Option<i32>) {
     let quality = if offset.is_some() { Quality::Live } else { Quality::Fault };
     let offset = offset.map(|nm| [nm, -nm, nm].map(Nanometres));
     let output = Output { offset, quality, age_ms: 2, ..Output::default() };
     let counter = hub.said().counter.wrapping_add(1) as u8;
     for frame in [offset_xy(&output, counter), offset_z(&output, counter)] {
-        hub.hear(ms(now), &Event::Frame(frame));
+        hub.receive(ms(now), &Event::Frame(frame));
     }
     hub.refresh(ms(now));
 }
@@ -46,14 +46,14 @@ fn before_anything_was_heard_nothing_is_available() {
 #[test]
 fn the_counter_moves_with_each_pair_and_stands_without() {
     let mut hub = hub();
-    say(&mut hub, 1, Some(1_000));
+    transmit(&mut hub, 1, Some(1_000));
     let first = read(&hub);
     assert_eq!((z_nm(&first), first.age_ms), (Some(1_000), 2));
     for now in 2..=101 {
         hub.refresh(ms(now));
         assert_eq!(read(&hub), first, "an old offset gets no new counter");
     }
-    say(&mut hub, 102, Some(1_010));
+    transmit(&mut hub, 102, Some(1_010));
     assert_eq!(read(&hub).counter, first.counter.wrapping_add(1));
     assert_eq!(z_nm(&read(&hub)), Some(1_010));
 }
@@ -61,7 +61,7 @@ fn the_counter_moves_with_each_pair_and_stands_without() {
 #[test]
 fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
     let mut hub = hub();
-    say(&mut hub, 1, Some(1_000));
+    transmit(&mut hub, 1, Some(1_000));
     let mut last = read(&hub).counter;
     for now in 102..110 {
         hub.refresh(ms(now));
@@ -76,15 +76,15 @@ fn a_silent_bridge_is_told_by_a_gateway_that_lives() {
 #[test]
 fn half_a_pair_changes_nothing_and_a_damaged_one_is_counted() {
     let mut hub = hub();
-    say(&mut hub, 1, Some(1_000));
+    transmit(&mut hub, 1, Some(1_000));
     let before = read(&hub);
     let output = Output { offset: Some([Nanometres(9); 3]), ..Output::default() };
     let counter = hub.said().counter.wrapping_add(1) as u8;
-    hub.hear(ms(2), &Event::Frame(offset_xy(&output, counter)));
+    hub.receive(ms(2), &Event::Frame(offset_xy(&output, counter)));
     let whole = offset_z(&output, counter);
     let mut data = *whole.data();
     data[7] ^= 1;
-    hub.hear(ms(2), &Event::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
+    hub.receive(ms(2), &Event::Frame(Frame::new(whole.id(), &data).expect("eight bytes")));
     hub.refresh(ms(2));
     assert_eq!(read(&hub), before);
     assert_eq!(hub.counters().crc_errors, 1);
@@ -100,12 +100,12 @@ fn status_is_told_until_it_is_too_old() {
     ];
     for (counter, item) in (0..).zip(items) {
         let status = Status { last_refused: Reason::None, item };
-        hub.hear(ms(0), &Event::Frame(encode(&status, counter)));
+        hub.receive(ms(0), &Event::Frame(encode(&status, counter)));
     }
-    say(&mut hub, 3_400, Some(0));
+    transmit(&mut hub, 3_400, Some(0));
     let input = read(&hub);
     assert_eq!((input.centi_c[0], input.state, input.calibration), (Some(2_345), 1, 7));
-    say(&mut hub, 3_401, Some(0));
+    transmit(&mut hub, 3_401, Some(0));
     let input = read(&hub);
     assert_eq!((input.centi_c[0], input.state, input.calibration), (None, 0, 0));
 }
@@ -118,7 +118,7 @@ fn constant_and_slope_are_said_while_all_three_are_fresh() {
         for axis in axes {
             let item = Item::Slope { axis, constant: Some(-120), slope: -270 };
             let status = Status { last_refused: Reason::None, item };
-            hub.hear(ms(at), &Event::Frame(encode(&status, counter + axis)));
+            hub.receive(ms(at), &Event::Frame(encode(&status, counter + axis)));
         }
     };
     // Layout 2; K₀ of X in 0.01 µm; its slope in 0.1 µm/m.
@@ -129,17 +129,17 @@ fn constant_and_slope_are_said_while_all_three_are_fresh() {
     };
     const NONE: (u16, i32, i16) = (2, i32::MIN, 0);
     send(&mut hub, 0, 0..2, 0);
-    say(&mut hub, 0, Some(0));
+    transmit(&mut hub, 0, Some(0));
     assert_eq!(read(&hub), NONE, "Z is missing");
     send(&mut hub, 0, 2..3, 0);
-    say(&mut hub, 1, Some(0));
+    transmit(&mut hub, 1, Some(0));
     assert_eq!(read(&hub), (2, -1_200, -270));
     assert_eq!(hub.news(), [""; 0]);
-    say(&mut hub, 4_601, Some(0));
+    transmit(&mut hub, 4_601, Some(0));
     assert_eq!(read(&hub), NONE, "too old");
-    say(&mut hub, 9_300, Some(0));
+    transmit(&mut hub, 9_300, Some(0));
     assert!(hub.news()[0].contains("sends no slopes"));
-    say(&mut hub, 19_300, Some(0));
+    transmit(&mut hub, 19_300, Some(0));
     assert_eq!(hub.news(), [""; 0], "reported once");
 }
 
@@ -150,7 +150,7 @@ fn engaged() -> Cnc {
 #[test]
 fn only_a_new_block_of_the_one_master_becomes_a_frame() {
     let mut hub = hub();
-    assert_eq!(hub.take(ms(0), 1, &engaged().encode(5)), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(0), 1, &engaged().encode(5)), Ok(BlockOutcome::Used));
     assert_eq!(hub.frames().len(), 1);
     let bad = {
         let mut block = engaged().encode(6);
@@ -162,26 +162,26 @@ fn only_a_new_block_of_the_one_master_becomes_a_frame() {
         (bad, Refused::Damaged),
         (engaged().encode(99), Refused::WrongSequence),
     ] {
-        assert_eq!(hub.take(ms(40), 1, &block), Ok(Taken::Refused(why)));
+        assert_eq!(hub.take(ms(40), 1, &block), Ok(BlockOutcome::Refused(why)));
         assert!(hub.frames().is_empty() && hub.holding()[0] == 5);
     }
-    say(&mut hub, 50, Some(0));
+    transmit(&mut hub, 50, Some(0));
     assert_eq!((read(&hub).last_refused, read(&hub).refused), (4, 3));
-    assert_eq!(hub.take(ms(60), 1, &engaged().encode(100)), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(60), 1, &engaged().encode(100)), Ok(BlockOutcome::Used));
     // Another one: kept out and told, until the first is silent or gone.
     let other = engaged().encode(7_000);
     assert_eq!(hub.take(ms(70), 2, &other), Err(Busy));
-    say(&mut hub, 71, Some(0));
+    transmit(&mut hub, 71, Some(0));
     assert_eq!(read(&hub).state, StateBits::SECOND_MASTER.0);
     assert_eq!(hub.take(ms(560), 2, &other), Err(Busy));
     assert_eq!(hub.control(ms(560)), Some(Control::ENGAGED));
     assert_eq!(hub.control(ms(561)), None);
-    assert_eq!(hub.take(ms(561), 2, &other), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(561), 2, &other), Ok(BlockOutcome::Used));
     assert_eq!(hub.take(ms(570), 1, &engaged().encode(101)), Err(Busy));
     hub.leave(1);
     assert_eq!(hub.take(ms(571), 1, &engaged().encode(101)), Err(Busy));
     hub.leave(2);
-    assert_eq!(hub.take(ms(572), 1, &engaged().encode(3)), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(572), 1, &engaged().encode(3)), Ok(BlockOutcome::Used));
     hub.frames();
     assert!(hub.frames().is_empty(), "nothing is repeated by itself");
 }
@@ -195,7 +195,7 @@ fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
     let mut used = Vec::new();
     for (counter, now) in (0..).zip(times) {
         let taken = hub.take(ms(now), 1, &engaged().encode(counter));
-        if taken == Ok(Taken::Used) {
+        if taken == Ok(BlockOutcome::Used) {
             used.push(now);
         }
     }
@@ -207,8 +207,8 @@ fn a_block_that_may_have_waited_in_a_stalled_line_is_not_used() {
     // What comes long after its connection was made, alike.
     hub.leave(1);
     hub.join(ms(8_000), 2);
-    assert_eq!(hub.take(ms(9_000), 2, &engaged().encode(0)), Ok(Taken::MayBeOld));
-    assert_eq!(hub.take(ms(9_100), 2, &engaged().encode(1)), Ok(Taken::Used));
+    assert_eq!(hub.take(ms(9_000), 2, &engaged().encode(0)), Ok(BlockOutcome::MayBeOld));
+    assert_eq!(hub.take(ms(9_100), 2, &engaged().encode(1)), Ok(BlockOutcome::Used));
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
         hub.join(ms(0), 1);
         let of = |counter: u16| ms(u64::from(counter + 1) * period);
         let used = (0..50).filter(|counter| {
-            hub.take(of(*counter), 1, &engaged().encode(*counter)) == Ok(Taken::Used)
+            hub.take(of(*counter), 1, &engaged().encode(*counter)) == Ok(BlockOutcome::Used)
         });
         assert_eq!(used.count(), 50 - unused, "{period} ms");
     }
@@ -227,7 +227,7 @@ fn a_slow_plc_and_a_fast_one_are_used_at_their_pace() {
 /// Lets the bridge report its calibration at this time.
 fn runs_on(hub: &mut Hub, now: u64, counter: u8, crc: u32) {
     let status = Status { last_refused: Reason::None, item: Item::Calibration(crc) };
-    hub.hear(ms(now), &Event::Frame(encode(&status, counter)));
+    hub.receive(ms(now), &Event::Frame(encode(&status, counter)));
 }
 
 #[test]
@@ -238,35 +238,35 @@ fn only_a_bridge_on_the_pinned_calibration_is_engaged() {
     let mut says = |hub: &mut Hub, now: u64| {
         counter += 1;
         let said = Cnc { control: Control { zero: true, ..Control::ENGAGED }, ..Cnc::default() };
-        assert_eq!(hub.take(ms(now), 1, &said.encode(counter)), Ok(Taken::Used));
+        assert_eq!(hub.take(ms(now), 1, &said.encode(counter)), Ok(BlockOutcome::Used));
         let frames = hub.frames();
         match receiver.accept(frames.first().expect("a Control")) {
             Ok(Some(Command::Control(control))) => (control.engage, control.zero),
             other => panic!("{other:?}"),
         }
     };
-    say(&mut hub, 0, Some(0));
+    transmit(&mut hub, 0, Some(0));
     assert_eq!(says(&mut hub, 10), (false, false), "it has not said what it runs on");
     runs_on(&mut hub, 20, 0, 8);
-    say(&mut hub, 20, Some(0));
+    transmit(&mut hub, 20, Some(0));
     assert_eq!(says(&mut hub, 40), (false, false), "another");
-    say(&mut hub, 41, Some(0));
+    transmit(&mut hub, 41, Some(0));
     assert_eq!(read(&hub).last_refused, OTHER_CALIBRATION);
     let told = hub.news();
     assert!(told.len() == 1 && told[0].contains("00000008"), "{told:?}");
     runs_on(&mut hub, 60, 1, 7);
-    say(&mut hub, 60, Some(0));
+    transmit(&mut hub, 60, Some(0));
     assert_eq!(says(&mut hub, 70), (true, true), "the pinned one");
     // It restarts, with whatever: not engaged until it has said on what it runs.
-    say(&mut hub, 80, None);
-    say(&mut hub, 90, Some(0));
+    transmit(&mut hub, 80, None);
+    transmit(&mut hub, 90, Some(0));
     assert_eq!(says(&mut hub, 100), (false, false));
     runs_on(&mut hub, 110, 2, 7);
-    say(&mut hub, 110, Some(0));
+    transmit(&mut hub, 110, Some(0));
     assert_eq!(says(&mut hub, 130), (true, true));
     // It is away for long.
     hub.refresh(ms(2_200));
-    say(&mut hub, 2_210, Some(0));
+    transmit(&mut hub, 2_210, Some(0));
     hub.leave(1);
     hub.join(ms(2_211), 1);
     assert_eq!(says(&mut hub, 2_220), (false, false));

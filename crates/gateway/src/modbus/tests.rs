@@ -58,7 +58,7 @@ impl World {
                 };
                 let mut hub = shared.hub();
                 for frame in [offset_xy(&output, n as u8), offset_z(&output, n as u8)] {
-                    hub.hear(shared.now(), &Event::Frame(frame));
+                    hub.receive(shared.now(), &Event::Frame(frame));
                 }
                 hub.refresh(shared.now());
                 drop(hub);
@@ -186,8 +186,8 @@ fn there_are_only_so_many_masters_and_places_become_free_again() {
             thread::sleep(Duration::from_millis(5));
         }
     };
-    let all: Vec<TcpStream> = (0..MOST).map(|_| world.connect()).collect();
-    wait(MOST);
+    let all: Vec<TcpStream> = (0..MAX).map(|_| world.connect()).collect();
+    wait(MAX);
     assert!(matches!(world.connect().read(&mut [0]), Ok(0) | Err(_)), "one too many");
     drop(all);
     wait(0);

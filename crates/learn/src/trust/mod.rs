@@ -29,9 +29,9 @@ use cusum::{Open, Plan};
 /// The change that is to be found, in standard deviations of what is measured less what is predicted.
 pub const CHANGE: f64 = 3.0;
 /// Fewer readings do not say what the noise is: with 40 σ is known to an eighth, and h has room for that.
-const FEWEST: usize = 40;
+const MIN: usize = 40;
 /// A memory beyond this cannot be distinguished from a drift: 50 rows.
-const MOST_MEMORY: f64 = 0.98;
+const MAX_MEMORY: f64 = 0.98;
 /// A reading beyond this many standard deviations is bad, or the machine has changed: one good one in 16 000.
 const GROSS: f64 = 4.0;
 /// Standard errors of a bound that holds nineteen times of twenty.
@@ -40,7 +40,7 @@ const BOUND: f64 = 1.645;
 const NEXT: f64 = 1.5;
 /// No alarm is falsely raised oftener than once in this many readings, however far apart these are: a machine that is probed twice
 /// a day has few in 1,000 hours.
-const FEWEST_ROWS: f64 = 1000.0;
+const MIN_ROWS: f64 = 1000.0;
 
 /// The noise when the calibration was right.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -116,9 +116,9 @@ impl Noise {
     fn by_gaps(rows: &[(f64, f64)], row_s: f64) -> Result<Self, String> {
         let there: Vec<f64> = rows.iter().map(|it| it.1).filter(|um| um.is_finite()).collect();
         let count = there.len();
-        if count < FEWEST {
+        if count < MIN {
             return Err(format!(
-                "has {count} rows that are measured and predicted; at least {FEWEST} are needed"
+                "has {count} rows that are measured and predicted; at least {MIN} are needed"
             ));
         }
         let mut mean_um = median(&mut there.clone());
@@ -151,7 +151,7 @@ impl Noise {
         }
         let memory: f64 = if squares > 0.0 { products / squares } else { 0.0 };
         let error = if in_a_row > 0.0 { ((1.0 - memory * memory) / in_a_row).sqrt() } else { 0.0 };
-        let memory = (memory.max(0.0) + error).clamp(0.0, MOST_MEMORY);
+        let memory = (memory.max(0.0) + error).clamp(0.0, MAX_MEMORY);
         Ok(Self { mean_um, sigma_um, memory, row_s, readings: count })
     }
 }
@@ -162,7 +162,7 @@ impl Watch {
     pub fn new(noise: Noise, false_alarm_h: f64) -> Self {
         let rho = noise.memory;
         let k = CHANGE * ((1.0 - rho) / (1.0 + rho)).sqrt() / 2.0;
-        let rows = (false_alarm_h * 3600.0 / noise.row_s).max(FEWEST_ROWS);
+        let rows = (false_alarm_h * 3600.0 / noise.row_s).max(MIN_ROWS);
         let count = noise.readings as f64;
         let open = Open { mean: BOUND / count.sqrt(), scatter: 1.0 + BOUND / (2.0 * count).sqrt() };
         let first = CHANGE / (1.0 - rho.powi(4)).sqrt();

@@ -141,8 +141,8 @@ fn a_restarted_cnc_is_heard_again_with_its_second_frame() {
     let (last, counter) = (100, 0);
     let refused = receiver.accept(&control(ENGAGED, counter)).unwrap_err();
     assert_eq!(refused, Refused::E2e(E2eError::WrongSequence { last, counter }));
-    let heard = receiver.accept(&control(ENGAGED, 1));
-    assert_eq!(heard, Ok(Some(Command::Control(ENGAGED))));
+    let received = receiver.accept(&control(ENGAGED, 1));
+    assert_eq!(received, Ok(Some(Command::Control(ENGAGED))));
 }
 
 #[test]

@@ -104,7 +104,7 @@ mod tests {
         }
     }
 
-    fn heard(client: &mut Client, port: &mut Port) -> Vec<Event> {
+    fn received(client: &mut Client, port: &mut Port) -> Vec<Event> {
         let bytes = core::iter::from_fn(|| port.pop());
         bytes.filter_map(|byte| client.receive(byte)).collect()
     }
@@ -116,16 +116,16 @@ mod tests {
             for byte in left_over {
                 port.receive(*byte);
             }
-            heard(&mut client, &mut port);
+            received(&mut client, &mut port);
             for byte in OPEN {
                 port.receive(*byte);
             }
-            let answers = heard(&mut client, &mut port);
+            let answers = received(&mut client, &mut port);
             assert_eq!(answers.len(), 5);
             assert!(answers[1..].iter().all(|answer| *answer == Event::Accepted));
             let frame = Frame::new(0x281, &[1, 2, 3]).unwrap();
             assert!(port.send(&frame));
-            assert_eq!(heard(&mut client, &mut port), [Event::Frame(frame)]);
+            assert_eq!(received(&mut client, &mut port), [Event::Frame(frame)]);
             for byte in CLOSE {
                 port.receive(*byte);
             }

@@ -65,17 +65,17 @@ proptest! {
     fn it_goes_through_the_states_of_the_standard(fates in prop::collection::vec(0_u8..9, 1..400)) {
         let mut stream = Stream::new(ID);
         let mut standard = Standard { state: Trust::Initial, window: VecDeque::new() };
-        let (mut counter, mut heard, mut mode) = (0_u8, false, 0);
+        let (mut counter, mut received, mut mode) = (0_u8, false, 0);
         for fate in fates {
             // Fates come in stretches, or no stretch of damage would ever be long enough.
             mode = match fate { 6 => 1, 7 => 2, 8 => 0, _ => mode };
             let fate = if mode == 0 || fate < 2 { fate.min(2) } else { mode - 1 };
             let (sent, verdict) = match fate {
                 0 => (damaged(counter.wrapping_add(1)), Verdict::Error),
-                1 if heard => (frame(counter), Verdict::Order),
+                1 if received => (frame(counter), Verdict::Order),
                 _ => {
                     counter = counter.wrapping_add(1);
-                    heard = true;
+                    received = true;
                     (frame(counter), Verdict::Ok)
                 }
             };

@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, path::PathBuf};
 
-use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
 
 use super::ini_lines::{IniLines, Value, expand_home, is_file};
 
@@ -181,7 +181,7 @@ fn read_into(
     path: &std::path::Path,
     depth: usize,
 ) -> Result<(), BadInput> {
-    let text = bounded::read_text(path, MOST_BYTES)?;
+    let text = bounded::read_text(path, MAX_BYTES)?;
     let mut lines = text.lines().enumerate();
     while let Some((index, line)) = lines.next() {
         let mut whole = line.trim_end().to_owned();

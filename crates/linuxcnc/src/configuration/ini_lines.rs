@@ -11,7 +11,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
 
 /// The first line of what setup has added.
 pub const BEGIN: &str = "# >>> trueup linuxcnc setup; --remove takes these lines out";
@@ -205,7 +205,7 @@ pub fn is_file(path: &Path) -> bool {
 }
 
 fn lines_of(path: &Path) -> Result<Vec<Line>, BadInput> {
-    let text = bounded::read_text(path, MOST_BYTES)?;
+    let text = bounded::read_text(path, MAX_BYTES)?;
     let mut lines = Vec::new();
     let mut begun: Option<Location> = None;
     for (index, text) in text.lines().enumerate() {

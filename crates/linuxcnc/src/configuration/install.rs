@@ -9,7 +9,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use trueup_machine::{BadInput, Location, bounded, file::MOST_BYTES};
+use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
 use trueup_store::calibration::whole;
 
 use super::{
@@ -111,7 +111,7 @@ pub fn setup(
     let mut changes = blocks.changes(ini)?;
     for (name, text) in [(REALTIME, wiring.realtime), (COMPONENT, wiring.component)] {
         let path = ini.folder().join(name);
-        if !is_file(&path) || bounded::read_text(&path, MOST_BYTES)? != text {
+        if !is_file(&path) || bounded::read_text(&path, MAX_BYTES)? != text {
             changes.push(Change { path, content: Some(text.into_bytes()) });
         }
     }
@@ -148,7 +148,7 @@ fn whole_path(ini: &IniLines, name: &str) -> PathBuf {
 /// Returns the change of the calibration's file, if it has to change. A file that is no calibration is not ours.
 fn calibration_change(ini: &IniLines, blob: Option<&Vec<u8>>) -> Result<Option<Change>, BadInput> {
     let path = whole_path(ini, CALIBRATION);
-    let before = if is_file(&path) { Some(bounded::read(&path, MOST_BYTES)?) } else { None };
+    let before = if is_file(&path) { Some(bounded::read(&path, MAX_BYTES)?) } else { None };
     if before.as_ref() == blob || before.as_ref().is_some_and(|it| whole(it).is_err()) {
         return Ok(None);
     }
@@ -162,7 +162,7 @@ fn refusal(ini: &IniLines, findings: &[Finding]) -> BadInput {
 }
 
 fn is_written_by_setup(path: &Path) -> Result<bool, BadInput> {
-    Ok(bounded::read_text(path, MOST_BYTES)?.lines().next() == Some(WRITTEN))
+    Ok(bounded::read_text(path, MAX_BYTES)?.lines().next() == Some(WRITTEN))
 }
 
 /// `OFFSET_AV_RATIO` of each axis that states none.
@@ -201,7 +201,7 @@ impl Blocks {
     fn changes(&self, ini: &IniLines) -> Result<Vec<Change>, BadInput> {
         let mut changes = Vec::new();
         for path in ini.files() {
-            let before = bounded::read_text(&path, MOST_BYTES)?;
+            let before = bounded::read_text(&path, MAX_BYTES)?;
             let none = BTreeMap::new();
             let after = self.after.get(&path).unwrap_or(&none);
             let text = with_blocks(&before, after, self.at_end.get(&path));

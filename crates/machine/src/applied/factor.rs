@@ -15,7 +15,7 @@
 use trueup_numerics::noise::Steps;
 
 use super::{
-    Unaided,
+    Uncompensated,
     estimate::{Estimate, steps},
     interval::{Factor, MARGIN},
     places::decisive_record,
@@ -30,11 +30,11 @@ use crate::{
 /// A smaller offset is none, in µm: half a step of the wire.
 const NO_OFFSET_UM: f64 = 0.005;
 /// More rows than these make the estimate no better than the model is: of more, each n-th is used.
-const MOST_ROWS: usize = 20_000;
+const MAX_ROWS: usize = 20_000;
 /// Lags that the model may lack, as shares of the longest run.
 const LAGS: [f64; 3] = [0.01, 0.05, 0.2];
 /// Thermometers that the error may go with.
-const MOST_TEMPERATURES: usize = 8;
+const MAX_TEMPERATURES: usize = 8;
 
 /// The verdict of some runs on the factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -72,8 +72,12 @@ impl Applied {
 /// Estimates the factor from `runs` of one machine, all of them together. Without a machine file the error may be made of
 /// what else was recorded.
 #[must_use]
-pub fn applied(runs: &[Unaided<'_>], machine: Option<&Machine>, quantity: Quantity) -> Applied {
-    let is_applied = |run: &Unaided<'_>| {
+pub fn applied(
+    runs: &[Uncompensated<'_>],
+    machine: Option<&Machine>,
+    quantity: Quantity,
+) -> Applied {
+    let is_applied = |run: &Uncompensated<'_>| {
         run.offset_um(quantity).is_some_and(|um| um.iter().any(|um| um.abs() > NO_OFFSET_UM))
     };
     if !runs.iter().any(is_applied) {
@@ -100,7 +104,7 @@ pub fn applied(runs: &[Unaided<'_>], machine: Option<&Machine>, quantity: Quanti
 /// Returns whether nothing that goes with the offset is left in what was measured while the bridge was engaged: what it
 /// applies is right, whatever its constants and the CNC make of it.
 #[must_use]
-pub fn leaves_nothing(runs: &[Unaided<'_>], quantity: Quantity) -> bool {
+pub fn leaves_nothing(runs: &[Uncompensated<'_>], quantity: Quantity) -> bool {
     let Some(rows) = Rows::of(runs, None, quantity) else { return false };
     let constants = &rows.explained[..rows.constants];
     let estimate = Estimate {
@@ -122,7 +126,7 @@ pub fn leaves_nothing(runs: &[Unaided<'_>], quantity: Quantity) -> bool {
 /// The CNC applies the offsets otherwise than once; or the bridge was engaged in all rows, and what is left goes with
 /// its offset, so that a CNC that does so would become a constant. The rule says what to do.
 pub fn require_applied_once(
-    runs: &[Unaided<'_>],
+    runs: &[Uncompensated<'_>],
     machine: Option<&Machine>,
     quantity: Quantity,
 ) -> Result<(), BadInput> {
@@ -139,7 +143,7 @@ pub fn require_applied_once(
             decisive_record()
         ),
     };
-    let applies = |run: &&Unaided<'_>| run.offset_um(quantity).is_some();
+    let applies = |run: &&Uncompensated<'_>| run.offset_um(quantity).is_some();
     let path = runs.iter().find(applies).map_or_else(|| "".as_ref(), |run| run.path());
     Err(BadInput::new(Location::start_of(path), rule))
 }
@@ -200,9 +204,13 @@ struct Rows {
 }
 
 impl Rows {
-    fn of(runs: &[Unaided<'_>], machine: Option<&Machine>, quantity: Quantity) -> Option<Self> {
+    fn of(
+        runs: &[Uncompensated<'_>],
+        machine: Option<&Machine>,
+        quantity: Quantity,
+    ) -> Option<Self> {
         let name = format!("measured_{}_um", quantity.name());
-        let runs: Vec<&Unaided<'_>> =
+        let runs: Vec<&Uncompensated<'_>> =
             runs.iter().filter(|run| run.column(&name).is_some()).collect();
         let [mut measured, mut offset, mut at] = [const { Vec::new() }; 3];
         let mut of_run: Vec<usize> = Vec::new();
@@ -236,7 +244,7 @@ impl Rows {
             all.into_iter().chain(&columns).all(|column| column[*row].is_finite())
         };
         let known: Vec<usize> = (0..measured.len()).filter(is_known).collect();
-        let every = known.len().div_ceil(MOST_ROWS).max(1);
+        let every = known.len().div_ceil(MAX_ROWS).max(1);
         let known: Vec<usize> = known.into_iter().step_by(every).collect();
         let pick = |all: &Vec<f64>| known.iter().map(|row| all[*row]).collect::<Vec<f64>>();
         let constant = |number: usize| {
@@ -257,7 +265,7 @@ impl Rows {
 }
 
 /// Returns the time that the longest run takes, in s; 0 where there is no time.
-fn longest_s(runs: &[&Unaided<'_>]) -> f64 {
+fn longest_s(runs: &[&Uncompensated<'_>]) -> f64 {
     let longest = runs.iter().filter_map(|run| {
         let times = run.column("time_s")?;
         let [low, high] =
@@ -308,7 +316,11 @@ fn variants(machine: &Machine, quantity: Quantity, longest_s: f64) -> Vec<Machin
 }
 
 /// Returns what `machine` predicts of `quantity` in each row; `None` where a run lacks what that needs.
-fn predicted(machine: &Machine, runs: &[&Unaided<'_>], quantity: Quantity) -> Option<Vec<f64>> {
+fn predicted(
+    machine: &Machine,
+    runs: &[&Uncompensated<'_>],
+    quantity: Quantity,
+) -> Option<Vec<f64>> {
     let all: Option<Vec<Vec<f64>>> =
         runs.iter().map(|run| predicted_um(machine, run, quantity)).collect();
     all.map(|all| all.concat())
@@ -328,7 +340,7 @@ pub fn predicted_um(machine: &Machine, run: &RunFile, quantity: Quantity) -> Opt
 
 /// Returns what else an error may go with: temperatures, the speed, the load; for an axis its place and direction, and
 /// temperatures along it.
-fn recorded(runs: &[&Unaided<'_>], quantity: Quantity) -> Vec<Vec<f64>> {
+fn recorded(runs: &[&Uncompensated<'_>], quantity: Quantity) -> Vec<Vec<f64>> {
     let joined = |name: &str| -> Option<Vec<f64>> {
         let all: Option<Vec<&[f64]>> = runs.iter().map(|run| run.column(name)).collect();
         all.map(|all| all.concat())
@@ -337,7 +349,7 @@ fn recorded(runs: &[&Unaided<'_>], quantity: Quantity) -> Vec<Vec<f64>> {
     let mut temperatures: Vec<&str> = names.filter(|name| is_temperature_column(name)).collect();
     temperatures.sort_unstable();
     temperatures.dedup();
-    temperatures.truncate(MOST_TEMPERATURES);
+    temperatures.truncate(MAX_TEMPERATURES);
     let mut all: Vec<Vec<f64>> = temperatures.iter().filter_map(|name| joined(name)).collect();
     if let Some(axis) = quantity.axis().map(|axis| axis.name())
         && let Some(mm) = joined(&format!("{axis}_mm"))

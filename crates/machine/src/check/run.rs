@@ -21,13 +21,13 @@ const HALF: f64 = 0.5;
 
 /// Rows that a statement about a whole column needs: of three values in the wrong unit none is in the right
 /// one by chance.
-const FEWEST_ROWS: usize = 3;
+const MIN_ROWS: usize = 3;
 
 /// This many rows are held against the model: a long run need not be predicted whole to know its unit.
 const LOOKED_AT: usize = 10_000;
 
 /// Largest output of a sensor, in V: 10 V, and a tenth more where it overruns.
-const MOST_VOLTS: f64 = 11.0;
+const MAX_VOLTS: f64 = 11.0;
 
 pub(super) fn warnings(run: &RunFile, machine: Option<&Machine>) -> Vec<Warning> {
     let mut warnings = Vec::new();
@@ -70,7 +70,7 @@ fn range(column: &Column) -> Option<[f64; 2]> {
         range = [range[0].min(value), range[1].max(value)];
         rows += 1;
     }
-    (rows >= FEWEST_ROWS).then_some(range)
+    (rows >= MIN_ROWS).then_some(range)
 }
 
 fn at(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warning {
@@ -82,7 +82,7 @@ fn at(run: &RunFile, column: &str, what: &str, help: impl Into<String>) -> Warni
 fn volts(run: &RunFile, column: &Column) -> Option<Warning> {
     let [least, most] = range(column)?;
     let has_fraction = values(column).any(|value| value.fract() != 0.0);
-    (has_fraction && least >= 0.0 && most <= MOST_VOLTS && most > 0.0).then(|| {
+    (has_fraction && least >= 0.0 && most <= MAX_VOLTS && most > 0.0).then(|| {
         let what = format!("is from {least} to {most}: that looks like volts, not counts");
         let help = "counts = V · counts_full_scale / volts_full_scale of [inputs] sensor";
         at(run, &column.name, &what, help)
@@ -94,7 +94,7 @@ fn ends_at_s7(run: &RunFile, column: &Column, machine: &Machine) -> Option<Warni
     let input = machine.inputs.as_ref()?.sensor?;
     let [_, most] = range(column)?;
     let at_end = values(column).filter(|&value| value == S7_COUNTS).count();
-    (input.counts_full_scale == FULL_COUNTS && most == S7_COUNTS && at_end >= FEWEST_ROWS).then(|| {
+    (input.counts_full_scale == FULL_COUNTS && most == S7_COUNTS && at_end >= MIN_ROWS).then(|| {
         let what = format!(
             "ends at {S7_COUNTS} in {at_end} rows, and the machine file's counts_full_scale is {FULL_COUNTS}"
         );
@@ -217,7 +217,7 @@ fn compared(run: &RunFile, machine: &Machine) -> Vec<Compared> {
 /// latter; `None` where there is nothing to compare.
 fn shared_slope(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let pairs: Vec<(f64, f64)> = pairs.collect();
-    if pairs.len() < FEWEST_ROWS {
+    if pairs.len() < MIN_ROWS {
         return None;
     }
     let count = pairs.len() as f64;

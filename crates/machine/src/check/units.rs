@@ -23,10 +23,10 @@ use crate::{
 };
 
 /// Rows that a statement about a whole column needs.
-const FEWEST_ROWS: usize = 3;
+const MIN_ROWS: usize = 3;
 /// The coldest that a thermometer of a spindle or an axis shows is not above this in °C: insulation of class E
 /// ends there (IEC 60085), and grease before it.
-const MOST_COLDEST_C: f64 = 120.0;
+const MAX_COLDEST_C: f64 = 120.0;
 /// The ends of IEC 60751: no resistance thermometer shows what is beyond.
 const ENDS_C: [f64; 2] = [-200.0, 850.0];
 /// A machine that stands is at 10 to 35 °C, which is this many °F …
@@ -34,9 +34,9 @@ const STANDING_F: std::ops::RangeInclusive<f64> = 50.0..=95.0;
 /// Parts that stand in one workshop are no further apart than this, in °C.
 const APART_C: f64 = 5.0;
 /// … and what runs in it at 60 °C at most.
-const MOST_F: f64 = 140.0;
+const MAX_F: f64 = 140.0;
 /// A clock of seconds that is beyond this counts milliseconds of Unix: as seconds it is the year 5138.
-const MOST_CLOCK_S: f64 = 1e11;
+const MAX_CLOCK_S: f64 = 1e11;
 /// No spindle runs for longer without a stop, in s: a week.
 const LONGEST_RUN_S: f64 = 7.0 * 86_400.0;
 /// A part takes no longer than this through the whole range of its temperatures at its fastest, in s: two days.
@@ -44,18 +44,18 @@ const LONGEST_THROUGH_S: f64 = 2.0 * 86_400.0;
 /// A range that is a machine's own heat, not that of its hall, in K.
 const OWN_HEAT_C: f64 = 8.0;
 /// A part of a machine warms by no more than this, in K/s: 10 K/min, what a live thermometer is believed.
-const MOST_C_PER_S: f64 = 10.0 / 60.0;
+const MAX_C_PER_S: f64 = 10.0 / 60.0;
 /// It is asked over this many rows, between means of this many at both ends that are at least this many K apart: noise
 /// is not.
 const RATE_ROWS: usize = 20;
 const RATE_MEAN: usize = 3;
 const RATE_C: f64 = 2.0;
 /// No gauge of a workshop resolves what stays below this, in µm.
-const LEAST_LARGEST_UM: f64 = 0.1;
+const MIN_LARGEST_UM: f64 = 0.1;
 /// No error or growth has a wider range than this in µm; the board takes 4000.
-const MOST_RANGE_UM: f64 = 20_000.0;
+const MAX_RANGE_UM: f64 = 20_000.0;
 /// A spindle that never turns faster than this in r/min has its speed in 1000 r/min.
-const MOST_KRPM: f64 = 40.0;
+const MAX_KRPM: f64 = 40.0;
 
 /// Returns the columns of `run` that are in another unit than their names say; `others` are runs of the same machine that
 /// are read together with it.
@@ -105,7 +105,7 @@ fn range(values: &[f64]) -> Option<[f64; 2]> {
         range = [range[0].min(value), range[1].max(value)];
         rows += 1;
     }
-    (rows >= FEWEST_ROWS).then_some(range)
+    (rows >= MIN_ROWS).then_some(range)
 }
 
 fn temperature(
@@ -115,7 +115,7 @@ fn temperature(
     [is_asked, may_be_f]: [bool; 2],
 ) -> Option<Finding> {
     let [least, most] = range(&column.values)?;
-    let is_tenths = is_machine(least / 10.0) && is_machine(most / 10.0) && least > MOST_COLDEST_C;
+    let is_tenths = is_machine(least / 10.0) && is_machine(most / 10.0) && least > MAX_COLDEST_C;
     let as_kelvin = is_kelvin(least) && is_kelvin(most);
     let (unit, help) = match (as_kelvin, is_tenths) {
         (true, _) => {
@@ -133,13 +133,13 @@ fn temperature(
     let told = |grade| {
         Some(finding(run, &column.name, grade, &format!("is from {least} to {most}: {unit}"), help))
     };
-    if least > ENDS_C[1] || most < ENDS_C[0] || (is_law && least > MOST_COLDEST_C) {
+    if least > ENDS_C[1] || most < ENDS_C[0] || (is_law && least > MAX_COLDEST_C) {
         return told(Grade::Impossible);
     }
     if as_kelvin || (is_asked && is_tenths) {
         return told(Grade::Unlikely);
     }
-    (is_asked && may_be_f && STANDING_F.contains(&least) && most <= MOST_F).then(|| {
+    (is_asked && may_be_f && STANDING_F.contains(&least) && most <= MAX_F).then(|| {
         let what = format!(
             "is from {least} to {most}: that looks like °F, not °C, for a machine that begins cold"
         );
@@ -186,7 +186,7 @@ fn clock(run: &RunFile, thermometers: &[&Column]) -> Option<Finding> {
     let time_s = run.column("time_s")?;
     let [_, last_s] = range(time_s)?;
     let ms = "times are in s: divide each by 1000";
-    if last_s > MOST_CLOCK_S {
+    if last_s > MAX_CLOCK_S {
         let what = format!("reaches {last_s}: that looks like milliseconds of Unix, not s");
         return Some(finding(run, "time_s", Grade::Impossible, &what, ms));
     }
@@ -223,7 +223,7 @@ fn clock(run: &RunFile, thermometers: &[&Column]) -> Option<Finding> {
     let parts = thermometers.iter().filter(|column| !is_fluid(&column.name));
     let fastest = parts.filter_map(|it| Some((fastest_c_per_s(time_s, &it.values)?, it)));
     let (c_per_s, column) = fastest.max_by(|a, b| a.0.total_cmp(&b.0))?;
-    if c_per_s <= MOST_C_PER_S {
+    if c_per_s <= MAX_C_PER_S {
         return None;
     }
     unlikely(
@@ -292,13 +292,13 @@ fn fastest_c_per_s(time_s: &[f64], values: &[f64]) -> Option<f64> {
 fn error(run: &RunFile, column: &Column) -> Option<Finding> {
     let [least, most] = range(&column.values)?;
     let largest = least.abs().max(most.abs());
-    if most - least > MOST_RANGE_UM {
+    if most - least > MAX_RANGE_UM {
         let what = format!(
             "is from {least} to {most}: no machine errs by that; it looks like nm or counts, not µm"
         );
         return Some(finding(run, &column.name, Grade::Impossible, &what, "write it in µm"));
     }
-    (most > least && largest < LEAST_LARGEST_UM).then(|| {
+    (most > least && largest < MIN_LARGEST_UM).then(|| {
         let what = format!(
             "is {largest} at the most: no gauge resolves that in µm; it looks like mm or inches, not µm"
         );
@@ -309,7 +309,7 @@ fn error(run: &RunFile, column: &Column) -> Option<Finding> {
 
 fn speed(run: &RunFile) -> Option<Finding> {
     let [_, most] = range(run.column("spindle_rpm")?)?;
-    (most > 0.0 && most <= MOST_KRPM).then(|| {
+    (most > 0.0 && most <= MAX_KRPM).then(|| {
         let what = format!("is {most} at the most: that looks like 1000 r/min, not r/min");
         finding(run, "spindle_rpm", Grade::Unlikely, &what, "speeds are in r/min")
     })

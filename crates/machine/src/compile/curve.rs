@@ -199,7 +199,7 @@ fn cubic_through(x: [f64; 4], y: [f64; 4]) -> [f64; 4] {
 fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
     /// Entries that every curve may have for a segment: 4 bytes.
     const ENTRIES_PER_SEGMENT: i64 = 2;
-    const MOST_ENTRIES: i64 = 4_096;
+    const MAX_ENTRIES: i64 = 4_096;
     let length = ends.last().copied().unwrap_or_default();
     let entries = |shift: u8| (length >> shift) + 1;
     let named = |place: i64| ends.partition_point(|&end| end < place);
@@ -214,7 +214,7 @@ fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
             .unwrap_or(0)
     };
     let share = (ENTRIES_PER_SEGMENT * ends.len() as i64).max(4);
-    let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MOST_ENTRIES);
+    let shifts = || (1..=32_u8).rev().filter(|&shift| entries(shift) <= MAX_ENTRIES);
     let within_share = || shifts().filter(|&shift| entries(shift) <= share);
     let shift = within_share()
         .find(|&shift| steps(shift) <= 1)
@@ -222,7 +222,7 @@ fn index(ends: &[i64]) -> Result<(u8, Vec<[u8; 2]>), Reason> {
         .or_else(|| shifts().find(|&shift| steps(shift) <= MAX_KNOTS_IN_BUCKET))
         .ok_or_else(|| {
             format!(
-                "has more than {MAX_KNOTS_IN_BUCKET} knots within a {MOST_ENTRIES}th of its length"
+                "has more than {MAX_KNOTS_IN_BUCKET} knots within a {MAX_ENTRIES}th of its length"
             )
         })?;
     let index = (0..entries(shift)).map(|bucket| {

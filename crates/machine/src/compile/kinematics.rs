@@ -62,9 +62,9 @@ pub(super) fn inverse(
 
 /// Returns the direction with the fewest decimals that is stored as `stored` again.
 fn written_direction(stored: Direction) -> [f64; 3] {
-    const MOST_DECIMALS: i32 = 12;
+    const MAX_DECIMALS: i32 = 12;
     let unit = unit_vector_near(stored);
-    (0..=MOST_DECIMALS)
+    (0..=MAX_DECIMALS)
         .map(|decimals| {
             let scale = 10_f64.powi(decimals);
             // + 0.0 turns −0 into 0.

@@ -268,9 +268,9 @@ pub(super) fn fine(um: f64) -> Made<Fine> {
 
 /// Returns a coefficient, and what its rounding makes in nm at `largest`, what it multiplies.
 pub(crate) fn scaled(value: f64, largest: f64) -> Made<Scaled> {
-    const MOST: f64 = (1_u64 << 30) as f64;
+    const MAX: f64 = (1_u64 << 30) as f64;
     let mantissa = |shift: u8| (value * 2_f64.powi(shift.into())).round();
-    let fits = |shift: &u8| mantissa(*shift).abs() < MOST;
+    let fits = |shift: &u8| mantissa(*shift).abs() < MAX;
     let shift = (0..=62_u8)
         .rev()
         .find(fits)
@@ -288,7 +288,7 @@ fn position(axis: file::LinearAxis, um_per_m: f64) -> Made<Effect<'static>> {
 /// The board's lever in m: an angle of 1 µrad is this many µm there.
 pub(crate) const LEVER_M: f64 = term::LEVER.0 as f64 / UNITS_PER_MM / 1000.0;
 /// Levers are held against the model up to 15 m: this many of the board's.
-pub(crate) const MOST_LEVERS: f64 = 15.0 / LEVER_M;
+pub(crate) const MAX_LEVERS: f64 = 15.0 / LEVER_M;
 
 /// Returns a tilt of the own axis or another.
 fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
@@ -311,7 +311,7 @@ fn tilt(own: Option<file::LinearAxis>, it: &Tilt) -> Made<OwnedEffect> {
             (OwnedEffect::Tilt(term::Tilt { along, lever, origin, angle }), nm)
         }
     };
-    Ok((effect, nm * MOST_LEVERS))
+    Ok((effect, nm * MAX_LEVERS))
 }
 
 /// Returns one wave, and its largest difference from the model over the board's ±21 m, in nm.

@@ -14,7 +14,7 @@ use super::{
     curve::{self, OwnedCurve, compile_curve},
     kinematics::{rotary, rotary_inverse},
     squareness::{compile_squareness, linear, linear_inverse},
-    term::{LEVER_M, MOST_LEVERS, fine},
+    term::{LEVER_M, MAX_LEVERS, fine},
 };
 use crate::{
     effect::Angle,
@@ -98,7 +98,7 @@ fn compile_angle(angle: &Angle) -> Result<((Gradient, OwnedCurve), f64), String>
             ((Gradient::ZERO, made), nm)
         }
     };
-    Ok((made, nm * MOST_LEVERS))
+    Ok((made, nm * MAX_LEVERS))
 }
 
 /// Returns places in the board's unit, none beyond `most` of it.
@@ -133,7 +133,7 @@ fn compile_rotary(
     let [x, y, z] = shift_um;
     let shift = [along(x, 1.0)?, along(y, 1.0)?, along(z, 1.0)?];
     let [a, b, c] = tilt_urad.map(|urad| urad * LEVER_M);
-    let tilt = [along(a, MOST_LEVERS)?, along(b, MOST_LEVERS)?, along(c, MOST_LEVERS)?];
+    let tilt = [along(a, MAX_LEVERS)?, along(b, MAX_LEVERS)?, along(c, MAX_LEVERS)?];
     Ok(volume::RotaryLocation { axis: rotary(axis), moves_workpiece, point, shift, tilt })
 }
 

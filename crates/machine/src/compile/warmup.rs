@@ -40,7 +40,7 @@ pub(super) fn compile(warmup: &Warmup) -> Result<(warmup::Warmup, OwnedCurve), R
 
 /// (n/n_rated)^p in Q28 over n in r/min, to 1 nm of Smax; held at 4 times the rated heat.
 fn power_curve(warmup: &Warmup) -> Result<OwnedCurve, Reason> {
-    const MOST: f64 = 4.0;
+    const MAX: f64 = 4.0;
     let (Some(rated), p) = (warmup.rated_rpm, warmup.speed_exponent) else {
         return Ok(OwnedCurve::NONE);
     };
@@ -48,7 +48,7 @@ fn power_curve(warmup: &Warmup) -> Result<OwnedCurve, Reason> {
         return Ok(OwnedCurve::NONE);
     }
     let one = f64::from(warmup::Warmup::RATED);
-    let last = (rated * MOST.powf(1.0 / p)).clamp(2.0, f64::from(u16::MAX)).floor();
+    let last = (rated * MAX.powf(1.0 / p)).clamp(2.0, f64::from(u16::MAX)).floor();
     let power = |rpm: f64| (rpm.max(0.5) / rated).powf(p) * one;
     let allowed = one / (warmup.max_um.abs() * 1_000.0).max(1.0);
     let last = rounded(last).expect("held to u16 above");
@@ -132,7 +132,7 @@ fn power_law(curve: &Curve<'_>) -> Option<(f64, f64)> {
     /// Rounding of a segment's coefficients, in units of its value.
     const ROUNDING: f64 = 8.0;
     /// The curve ends at this many times the rated heat, or at the fastest speed.
-    const MOST: f64 = 4.0;
+    const MAX: f64 = 4.0;
     let first = curve.first().0;
     let mut places: Vec<i32> = vec![first];
     places.extend(curve.segments().iter().map(|bytes| Segment::from_bytes(bytes).end.0));
@@ -152,7 +152,7 @@ fn power_law(curve: &Curve<'_>) -> Option<(f64, f64)> {
     let exact = (last / value).ln() / (last_rpm / rpm).ln();
     let rated = |p: f64| last_rpm / (last / DRIVE_ONE).powf(1.0 / p);
     let meets_all = |rated: f64, p: f64| {
-        let end = (rated * MOST.powf(1.0 / p)).clamp(2.0, u16::MAX.into()).floor();
+        let end = (rated * MAX.powf(1.0 / p)).clamp(2.0, u16::MAX.into()).floor();
         end == last_rpm
             && ends
                 .iter()

@@ -19,11 +19,11 @@
 //! the error was set to 0: it is a reference and no finding of its own.
 
 use super::{
-    page::{
-        Angle, Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter, Tilt,
-        Value, axis, number,
+    cause_spec::{
+        Angle, CauseSpec, Definition, Entry, Host, Input, Nonlinear, OnBoard, Parameter, Target,
+        Tilt, Value, axis, number,
     },
-    survey::{Settings, Survey, even_knots, spread, targets},
+    data_view::{DataView, StartValues, even_knots, spread, targets},
 };
 use crate::{
     file::axis::LinearAxis,
@@ -43,7 +43,7 @@ impl AngularError {
     }
 }
 
-impl Page for AngularError {
+impl CauseSpec for AngularError {
     fn entries(&self) -> Vec<Entry> {
         let Tilt { along, lever, origin_mm, angle } = &self.0;
         let mut entries = Vec::new();
@@ -61,8 +61,8 @@ impl Page for AngularError {
         entries
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
@@ -211,7 +211,7 @@ impl Definition for AngularError {
         if let OnBoard::Tilt(tilt) = form { Some(Self(tilt.clone())) } else { None }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let others = survey.other_axes();
         for &lever in &others {
             let of = |axis: LinearAxis| survey.column(&format!("{}_mm", axis.name()));
@@ -244,9 +244,9 @@ fn has(section: &Section<'_>, key: &str) -> bool {
 }
 
 /// Where the lever may have its zero, to begin from: the machine's own, the ends and the middle.
-fn zeros(lever_mm: &[f64]) -> Settings {
+fn zeros(lever_mm: &[f64]) -> StartValues {
     let finite = lever_mm.iter().copied().filter(|mm| mm.is_finite());
     let low = finite.fold(f64::INFINITY, f64::min);
     let length = spread(lever_mm);
-    Settings::at([0.0, low, low + 0.5 * length, low + length])
+    StartValues::at([0.0, low, low + 0.5 * length, low + length])
 }

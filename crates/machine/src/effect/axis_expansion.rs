@@ -15,12 +15,12 @@
 //! and a shift of the whole axis with its temperature are in the term, and need none next to it.
 
 use super::{
-    heat,
-    page::{
-        Definition, Entry, Home, Host, Input, Nonlinear, OnBoard, Page, Parameter, Value, minutes,
-        number,
+    cause_spec::{
+        CauseSpec, Definition, Entry, Host, Input, Nonlinear, OnBoard, Parameter, Target, Value,
+        minutes, number,
     },
-    survey::{Settings, Survey, TIME_CONSTANTS},
+    data_view::{DataView, StartValues, TIME_CONSTANTS},
+    heat,
 };
 use crate::{
     file::axis::{Thermal, ThermalMode},
@@ -55,7 +55,7 @@ impl AxisExpansion {
     }
 }
 
-impl Page for AxisExpansion {
+impl CauseSpec for AxisExpansion {
     fn entries(&self) -> Vec<Entry> {
         vec![
             ("column", Value::Text(self.column.clone())),
@@ -66,8 +66,8 @@ impl Page for AxisExpansion {
         ]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
@@ -191,7 +191,7 @@ impl Definition for AxisExpansion {
         add(2, above_c);
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let is_open = survey.thermal().is_none() && !survey.has(Self::NAME) && survey.moves();
         let Some(position_mm) = survey.own_position().filter(|_| is_open) else { return };
         let there = position_mm.iter().copied().filter(|mm| mm.is_finite());
@@ -206,7 +206,7 @@ impl Definition for AxisExpansion {
                 reference_c: survey.reference_c(column),
                 origin_mm: (low + high) / 2.0,
             };
-            with(neutral(0.0), Settings::none());
+            with(neutral(0.0), StartValues::none());
             with(neutral(1.0), survey.time_constants(TIME_CONSTANTS));
         }
     }

@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{
     file::axis::LinearAxis, file::read::Section, location::BadInput, model::pitch::is_reverse,
@@ -19,13 +19,13 @@ pub struct Backlash {
     pub width_um: f64,
 }
 
-impl Page for Backlash {
+impl CauseSpec for Backlash {
     fn entries(&self) -> Vec<Entry> {
         vec![("width_um", Value::Number(self.width_um))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -86,9 +86,9 @@ impl Definition for Backlash {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.moves() && survey.turns() && survey.has_screw() {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

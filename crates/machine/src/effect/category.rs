@@ -1,6 +1,6 @@
 //! How large a form by tool or condition is, and where.
 
-use super::page::OnBoard;
+use super::cause_spec::OnBoard;
 
 impl OnBoard {
     /// Returns the largest a of a form by tool or condition, without its sign; 0 of all others.

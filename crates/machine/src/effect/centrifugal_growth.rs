@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -17,13 +17,13 @@ pub struct CentrifugalGrowth {
     pub um_per_krpm2: f64,
 }
 
-impl Page for CentrifugalGrowth {
+impl CauseSpec for CentrifugalGrowth {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_krpm2", Value::Number(self.um_per_krpm2))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn tier(&self) -> u8 {
@@ -85,9 +85,9 @@ impl Definition for CentrifugalGrowth {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.grows() && survey.varies("spindle_rpm") {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

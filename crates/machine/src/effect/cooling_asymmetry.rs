@@ -5,11 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Nonlinear, Parameter, Stage, Target, Value,
         minutes, positive,
     },
-    survey::{FINE_TIME_CONSTANTS, Settings, Survey},
+    data_view::{DataView, FINE_TIME_CONSTANTS, StartValues},
     thermal_lag::ThermalLag,
 };
 use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
@@ -21,13 +21,13 @@ pub struct CoolingAsymmetry {
     pub time_constant_s: f64,
 }
 
-impl Page for CoolingAsymmetry {
+impl CauseSpec for CoolingAsymmetry {
     fn entries(&self) -> Vec<Entry> {
         vec![("time_constant_s", Value::Number(self.time_constant_s))]
     }
 
-    fn home(&self) -> Home {
-        Home::OwnThermometer
+    fn home(&self) -> Target {
+        Target::OwnThermometer
     }
 
     fn stage(&self) -> Stage {
@@ -91,7 +91,7 @@ impl Definition for CoolingAsymmetry {
         Ok(Self { time_constant_s: positive(section, "time_constant_s")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let is_warmup = survey.source() == Some(ElongationSource::Warmup);
         let stood = || survey.column("spindle_rpm").is_some_and(|rpm| rpm.contains(&0.0));
         let lags = |believed_s| believed_s > 0.0 || survey.has(ThermalLag::NAME);

@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Host, Input, OnBoard, Page, Parameter, Value, axis, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Host, Input, OnBoard, Parameter, Target, Value, axis, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -19,7 +21,7 @@ pub struct CrossAxis {
     pub um_per_m: f64,
 }
 
-impl Page for CrossAxis {
+impl CauseSpec for CrossAxis {
     fn entries(&self) -> Vec<Entry> {
         vec![
             ("axis", Value::Text(self.axis.name().into())),
@@ -27,8 +29,8 @@ impl Page for CrossAxis {
         ]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
@@ -93,9 +95,9 @@ impl Definition for CrossAxis {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for axis in survey.other_axes() {
-            with(Self { axis, um_per_m: 0.0 }, Settings::none());
+            with(Self { axis, um_per_m: 0.0 }, StartValues::none());
         }
     }
 }

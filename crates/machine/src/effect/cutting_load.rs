@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -17,13 +17,13 @@ pub struct CuttingLoad {
     pub um_per_n: f64,
 }
 
-impl Page for CuttingLoad {
+impl CauseSpec for CuttingLoad {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_n", Value::Number(self.um_per_n))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn tier(&self) -> u8 {
@@ -85,9 +85,9 @@ impl Definition for CuttingLoad {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.grows() && survey.varies("load_n") {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

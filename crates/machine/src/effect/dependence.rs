@@ -15,10 +15,11 @@
 //! ([`Form::Level`]), and so is a difference, as heat of two thermometers. All else explains and is not compensated.
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Times, Value, minutes,
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, OnBoard, Parameter, Target, Times, Value,
+        minutes,
     },
-    survey::{Settings, Survey},
+    data_view::{DataView, StartValues},
 };
 use crate::{
     file::{axis::LinearAxis, inputs::is_temperature_column, read::Section, tools::Tools},
@@ -172,7 +173,7 @@ impl Dependence {
     }
 }
 
-impl Page for Dependence {
+impl CauseSpec for Dependence {
     fn entries(&self) -> Vec<Entry> {
         let [slope_key, level_key] = self.times.keys();
         let mut entries = vec![
@@ -209,11 +210,11 @@ impl Page for Dependence {
         entries
     }
 
-    fn home(&self) -> Home {
+    fn home(&self) -> Target {
         match self.times {
-            Times::Growth => Home::Elongation,
-            Times::Position => Home::Axis,
-            Times::One | Times::Speed2 | Times::Column { .. } => Home::Any,
+            Times::Growth => Target::Elongation,
+            Times::Position => Target::Axis,
+            Times::One | Times::Speed2 | Times::Column { .. } => Target::Any,
         }
     }
 
@@ -489,7 +490,7 @@ impl Definition for Dependence {
         Some(Self { column, minus: None, lag_s, form, times })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         propose(survey, with);
     }
 }

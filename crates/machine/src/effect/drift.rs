@@ -8,8 +8,8 @@
 //! middle of them and not before the first.
 
 use super::{
-    page::{Definition, Entry, Home, Input, Page, Parameter, Value, number},
-    survey::{Settings, Survey, targets},
+    cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues, targets},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -31,7 +31,7 @@ pub enum Drift {
 }
 
 /// Runs that show a slope: two differ by something, whatever it is.
-const LEAST_RUNS: usize = 3;
+const MIN_RUNS: usize = 3;
 
 impl Drift {
     fn rate(&self) -> (&'static str, f64) {
@@ -42,7 +42,7 @@ impl Drift {
     }
 }
 
-impl Page for Drift {
+impl CauseSpec for Drift {
     fn entries(&self) -> Vec<Entry> {
         let (name, rate) = self.rate();
         let mut entries = vec![(name, Value::Number(rate))];
@@ -54,8 +54,8 @@ impl Page for Drift {
         entries
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn tier(&self) -> u8 {
@@ -143,15 +143,15 @@ impl Definition for Drift {
         );
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.time_s().is_some() {
-            with(Self::InTime { um_per_h: 0.0 }, Settings::none());
+            with(Self::InTime { um_per_h: 0.0 }, StartValues::none());
         } else if let Some(run) =
-            survey.column("run").filter(|run| targets(run, 1e-3).len() >= LEAST_RUNS)
+            survey.column("run").filter(|run| targets(run, 1e-3).len() >= MIN_RUNS)
         {
             let known = || run.iter().filter(|run| run.is_finite());
             let reference_run = known().sum::<f64>() / known().count() as f64;
-            with(Self::ByRun { um_per_run: 0.0, reference_run }, Settings::none());
+            with(Self::ByRun { um_per_run: 0.0, reference_run }, StartValues::none());
         }
     }
 

@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Constants, Definition, Entry, Home, Host, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -17,13 +19,13 @@ pub struct ExpansionConstant {
     pub um_per_c: f64,
 }
 
-impl Page for ExpansionConstant {
+impl CauseSpec for ExpansionConstant {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_c", Value::Number(self.um_per_c))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn stage(&self) -> Stage {
@@ -82,10 +84,10 @@ impl Definition for ExpansionConstant {
         Ok(Self { um_per_c: number(section, "um_per_c")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(thermal) = survey.thermal_in_use() else { return };
         if thermal.mode.has_constant() && thermal.table.is_none() {
-            with(Self { um_per_c: thermal.constant_um_per_c }, Settings::none());
+            with(Self { um_per_c: thermal.constant_um_per_c }, StartValues::none());
         }
     }
 

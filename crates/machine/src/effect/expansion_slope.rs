@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Constants, Definition, Entry, Home, Host, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -17,13 +19,13 @@ pub struct ExpansionSlope {
     pub um_per_m_per_c: f64,
 }
 
-impl Page for ExpansionSlope {
+impl CauseSpec for ExpansionSlope {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_m_per_c", Value::Number(self.um_per_m_per_c))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn stage(&self) -> Stage {
@@ -74,10 +76,10 @@ impl Definition for ExpansionSlope {
         Ok(Self { um_per_m_per_c: number(section, "um_per_m_per_c")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(thermal) = survey.thermal_in_use().filter(|_| survey.moves()) else { return };
         if thermal.mode.has_position() && thermal.table.is_none() {
-            with(Self { um_per_m_per_c: thermal.slope_um_per_m_per_c }, Settings::none());
+            with(Self { um_per_m_per_c: thermal.slope_um_per_m_per_c }, StartValues::none());
         }
     }
 }

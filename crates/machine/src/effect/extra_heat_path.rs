@@ -8,13 +8,13 @@
 use trueup_core::term::SpeedPower;
 
 use super::{
+    cause_spec::{
+        CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter,
+        SpeedHeat, Target, Value, minutes, number,
+    },
+    data_view::{DataView, StartValues, TIME_CONSTANTS},
     dependence::SPEED,
     heat,
-    page::{
-        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page, Parameter,
-        SpeedHeat, Value, minutes, number,
-    },
-    survey::{Settings, Survey, TIME_CONSTANTS},
 };
 use crate::{
     file::axis::LinearAxis,
@@ -91,7 +91,7 @@ fn is_of_speed(section: &Section<'_>) -> bool {
     keys.iter().any(is_own) || section.text("column").is_ok_and(|column| column == Some(SPEED))
 }
 
-impl Page for ExtraHeatPath {
+impl CauseSpec for ExtraHeatPath {
     fn entries(&self) -> Vec<Entry> {
         match self {
             Self::OfTemperature(heat) => heat::entries(heat),
@@ -107,8 +107,8 @@ impl Page for ExtraHeatPath {
         }
     }
 
-    fn home(&self) -> Home {
-        Home::Heat
+    fn home(&self) -> Target {
+        Target::Heat
     }
 
     fn tier(&self) -> u8 {
@@ -275,10 +275,10 @@ impl Definition for ExtraHeatPath {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for (column, _) in heat::columns(survey).into_iter().filter(|(_, is_in_use)| !is_in_use) {
             let of = |has_lag| Self::OfTemperature(heat::neutral(survey, column, has_lag));
-            with(of(false), Settings::none());
+            with(of(false), StartValues::none());
             with(of(true), survey.time_constants(TIME_CONSTANTS));
         }
         // Heat by the speed is what the warm-up model is: what is wrong with it has names of its own.

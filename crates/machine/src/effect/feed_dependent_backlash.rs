@@ -11,8 +11,8 @@
 //! is predicted as well.
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput, model::pitch::is_reverse};
 
@@ -23,7 +23,7 @@ pub(crate) const FEED: &str = "feed_mm_per_min";
 const SAME_FEED: f64 = 0.01;
 
 /// More feeds than a person would set are a feed that varies; it is followed at this many.
-const MOST_FEEDS: usize = 6;
+const MAX_FEEDS: usize = 6;
 
 /// A width for each of some feeds.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,7 +60,7 @@ impl FeedDependentBacklash {
     }
 }
 
-impl Page for FeedDependentBacklash {
+impl CauseSpec for FeedDependentBacklash {
     fn entries(&self) -> Vec<Entry> {
         vec![
             ("feeds_mm_per_min", Value::Numbers(self.feeds_mm_per_min.clone())),
@@ -69,8 +69,8 @@ impl Page for FeedDependentBacklash {
         ]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -158,7 +158,7 @@ impl Definition for FeedDependentBacklash {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         // It has room for a backlash, so that the two are never both there.
         let is_open = survey.moves() && survey.turns() && survey.has_screw();
         if !is_open || survey.adds(super::Backlash::NAME) || survey.adds(Self::NAME) {
@@ -166,7 +166,7 @@ impl Definition for FeedDependentBacklash {
         }
         let feeds = survey.column(FEED).map(feeds).unwrap_or_default();
         if feeds.len() >= 2 {
-            with(Self::neutral(feeds), Settings::none());
+            with(Self::neutral(feeds), StartValues::none());
         }
     }
 
@@ -188,11 +188,11 @@ fn feeds(column: &[f64]) -> Vec<f64> {
             set.push(feed);
         }
     }
-    if set.len() <= MOST_FEEDS {
+    if set.len() <= MAX_FEEDS {
         return set;
     }
-    let at = |n: usize| sorted[n * (sorted.len() - 1) / (MOST_FEEDS - 1)];
-    let mut some: Vec<f64> = (0..MOST_FEEDS).map(at).collect();
+    let at = |n: usize| sorted[n * (sorted.len() - 1) / (MAX_FEEDS - 1)];
+    let mut some: Vec<f64> = (0..MAX_FEEDS).map(at).collect();
     some.dedup_by(|b, a| *b / *a - 1.0 <= SAME_FEED);
     some
 }
@@ -205,7 +205,7 @@ mod tests {
     fn a_feed_that_was_set_is_one_and_a_feed_that_varies_is_followed_at_some() {
         assert_eq!(feeds(&[1000.0, f64::NAN, 100.0, 1002.0, 0.0, 100.0]), [100.0, 1000.0]);
         let varying: Vec<f64> = (0..100).map(|n| 100.0 + 10.0 * f64::from(n)).collect();
-        assert_eq!(feeds(&varying).len(), MOST_FEEDS);
+        assert_eq!(feeds(&varying).len(), MAX_FEEDS);
     }
 
     #[test]

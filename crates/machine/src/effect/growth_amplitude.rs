@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey, spread},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues, spread},
 };
 use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
 
@@ -23,13 +25,13 @@ impl Default for GrowthAmplitude {
     }
 }
 
-impl Page for GrowthAmplitude {
+impl CauseSpec for GrowthAmplitude {
     fn entries(&self) -> Vec<Entry> {
         vec![("scale", Value::Number(self.scale))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn stage(&self) -> Stage {
@@ -86,13 +88,13 @@ impl Definition for GrowthAmplitude {
         add(0, x[0]);
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let grows = matches!(
             survey.source(),
             Some(ElongationSource::Temperature | ElongationSource::Warmup)
         );
         if grows && spread(survey.law()) > 0.0 {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

@@ -5,11 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Nonlinear, Parameter, Stage, Target, Value,
         minutes, positive,
     },
-    survey::{FINE_TIME_CONSTANTS, Settings, Survey},
+    data_view::{DataView, FINE_TIME_CONSTANTS, StartValues},
 };
 use crate::{file::read::Section, file::spindle::ElongationSource, location::BadInput};
 
@@ -20,13 +20,13 @@ pub struct GrowthRate {
     pub time_constant_s: f64,
 }
 
-impl Page for GrowthRate {
+impl CauseSpec for GrowthRate {
     fn entries(&self) -> Vec<Entry> {
         vec![("time_constant_s", Value::Number(self.time_constant_s))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn stage(&self) -> Stage {
@@ -88,7 +88,7 @@ impl Definition for GrowthRate {
         Ok(Self { time_constant_s: positive(section, "time_constant_s")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.source() == Some(ElongationSource::Warmup) {
             with(Self::default(), survey.time_constants(FINE_TIME_CONSTANTS));
         }

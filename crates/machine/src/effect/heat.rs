@@ -1,8 +1,8 @@
 //! Shared parts of the causes that follow a temperature, c·(lag_τ(T) − T_ref).
 
 use super::{
-    page::{Entry, Heat, Input, Value},
-    survey::Survey,
+    cause_spec::{Entry, Heat, Input, Value},
+    data_view::DataView,
 };
 use crate::{
     file::read::Section,
@@ -29,7 +29,7 @@ pub(crate) fn inputs(heat: &Heat, lag_s: f64) -> Vec<Input<'_>> {
 }
 
 /// No heat of `column` yet. A time constant of 1 s says that it has one.
-pub(crate) fn neutral(survey: &dyn Survey, column: &str, has_lag: bool) -> Heat {
+pub(crate) fn neutral(survey: &dyn DataView, column: &str, has_lag: bool) -> Heat {
     Heat {
         column: column.into(),
         um_per_c: 0.0,
@@ -39,14 +39,14 @@ pub(crate) fn neutral(survey: &dyn Survey, column: &str, has_lag: bool) -> Heat 
 }
 
 /// Returns the column of the sensor's own temperature, where the sensor is what is predicted by.
-pub(crate) fn of_sensor(survey: &dyn Survey) -> Option<&str> {
+pub(crate) fn of_sensor(survey: &dyn DataView) -> Option<&str> {
     let sensor = survey.spindle().sensor.as_ref()?;
     sensor.temperature.as_deref().filter(|_| survey.source() == Some(ElongationSource::Sensor))
 }
 
 /// Returns the temperatures that may move what is measured, and whether the model goes by them already.
 /// Heat is looked for where something grows: in a spindle, or in an axis.
-pub(crate) fn columns(survey: &dyn Survey) -> Vec<(&str, bool)> {
+pub(crate) fn columns(survey: &dyn DataView) -> Vec<(&str, bool)> {
     let of_sensor = of_sensor(survey);
     let columns = survey.temperatures().into_iter();
     columns

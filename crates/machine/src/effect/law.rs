@@ -2,10 +2,10 @@
 
 use std::borrow::Cow;
 
-use super::page::{Definition, Input};
+use super::cause_spec::{Definition, Input};
 
 /// No law reads more columns than that.
-const MOST_INPUTS: usize = 4;
+const MAX_INPUTS: usize = 4;
 
 /// Where a law's inputs come from.
 pub trait Columns {
@@ -55,7 +55,7 @@ fn at_rows<P: Definition>(
 ) {
     let inputs = page.inputs(nonlinear);
     let read: Vec<Cow<'_, [f64]>> = inputs.iter().map(|input| source.column(input)).collect();
-    let mut x = [0.0; MOST_INPUTS];
+    let mut x = [0.0; MAX_INPUTS];
     for row in 0..source.rows() {
         for (x, column) in x.iter_mut().zip(&read) {
             *x = column[row];

@@ -31,10 +31,12 @@ mod angular_error;
 mod axis_expansion;
 mod backlash;
 mod category;
+mod cause_spec;
 mod centrifugal_growth;
 mod cooling_asymmetry;
 mod cross_axis;
 mod cutting_load;
+mod data_view;
 mod dependence;
 mod drift;
 mod expansion_constant;
@@ -48,7 +50,6 @@ mod heat;
 mod law;
 mod nonlinear;
 mod outliers;
-mod page;
 mod periodic_in_time;
 mod pitch_error;
 mod pitch_periodic;
@@ -65,7 +66,6 @@ mod sensor_temperature_drift;
 mod slow_mode;
 mod step;
 mod straightness;
-mod survey;
 mod thermal_lag;
 mod thermometer_lag;
 mod time_shift;
@@ -74,72 +74,72 @@ mod within;
 
 use std::ops::{Deref, DerefMut};
 
+pub use cause_spec::{
+    Angle, CauseSpec, Constants, Entry, Heat, HeatPath, Host, Input, Late, LateForm, Nonlinear,
+    OnBoard, Parameter, SpeedHeat, Stage, Target, Tilt, Times, Value,
+};
+pub use data_view::{DataView, Reading, StartValues, spread};
 pub use dependence::Form;
 pub use forms::heating;
 pub use law::Columns;
-pub use page::{
-    Angle, Constants, Entry, Heat, HeatPath, Home, Host, Input, Late, LateForm, Nonlinear, OnBoard,
-    Page, Parameter, SpeedHeat, Stage, Tilt, Times, Value,
-};
-pub use periodic_in_time::FEWEST_GROUPS as FEWEST_GROUPS_IN_A_PERIOD;
+pub use periodic_in_time::MIN_GROUPS as MIN_GROUPS_IN_A_PERIOD;
 pub use quantity::Quantity;
 pub use reference_instrument::Read;
-pub use survey::{Reading, Settings, Survey, spread};
 pub use trueup_core::term::SpeedPower;
 pub use wave::Wave;
 pub use within::{Side, Within};
 
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
-use page::Definition;
+use cause_spec::Definition;
 
 macro_rules! causes {
-    ($($module:ident::$Page:ident $text:literal,)*) => {
-        $(pub use $module::$Page;)*
+    ($($module:ident::$CauseSpec:ident $text:literal,)*) => {
+        $(pub use $module::$CauseSpec;)*
 
         /// A cause.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Cause {
-            $(#[doc = $text] $Page,)*
+            $(#[doc = $text] $CauseSpec,)*
         }
 
         /// A cause with its numbers.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Effect {
-            $(#[doc = $text] $Page($Page),)*
+            $(#[doc = $text] $CauseSpec($CauseSpec),)*
             /// A cause that acts only in a range of a recorded input.
             Within(Within),
         }
 
         impl Cause {
             /// All causes, in the order of the format's table.
-            pub const ALL: &[Self] = &[$(Self::$Page,)*];
+            pub const ALL: &[Self] = &[$(Self::$CauseSpec,)*];
 
             /// Its name in files: `thermal-lag`.
             #[must_use]
             pub fn name(self) -> &'static str {
-                match self { $(Self::$Page => $Page::NAME,)* }
+                match self { $(Self::$CauseSpec => $CauseSpec::NAME,)* }
             }
 
             /// Returns the keys of this cause in `section`, besides those that all have.
             pub(crate) fn keys(self, section: &Section<'_>) -> &'static [&'static str] {
-                match self { $(Self::$Page => $Page::keys(section),)* }
+                match self { $(Self::$CauseSpec => $CauseSpec::keys(section),)* }
             }
 
             /// This cause as it stands in `section`, whose keys are known.
             pub(crate) fn read(self, section: &Section<'_>) -> Result<Effect, BadInput> {
-                Ok(match self { $(Self::$Page => Effect::$Page($Page::read(section)?),)* })
+                Ok(match self { $(Self::$CauseSpec => Effect::$CauseSpec($CauseSpec::read(section)?),)* })
             }
 
             /// Returns the measurement that would distinguish it from `rival`.
             fn against(self, rival: &str) -> Option<&'static str> {
-                match self { $(Self::$Page => $Page::against(rival),)* }
+                match self { $(Self::$CauseSpec => $CauseSpec::against(rival),)* }
             }
 
             /// Proposes what of it the data allow.
-            fn propose(self, survey: &dyn Survey, with: &mut dyn FnMut(Effect, Settings)) {
+            fn propose(self, survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartValues)) {
                 match self {
-                    $(Self::$Page => {
-                        $Page::propose(survey, &mut |page, at| with(Effect::$Page(page), at));
+                    $(Self::$CauseSpec => {
+                        $CauseSpec::propose(survey, &mut |page, at| with(Effect::$CauseSpec(page), at));
                     })*
                 }
             }
@@ -150,7 +150,7 @@ macro_rules! causes {
             #[must_use]
             pub fn cause(&self) -> Cause {
                 match self {
-                    $(Self::$Page(_) => Cause::$Page,)*
+                    $(Self::$CauseSpec(_) => Cause::$CauseSpec,)*
                     Self::Within(within) => within.effect.cause(),
                 }
             }
@@ -160,7 +160,7 @@ macro_rules! causes {
             #[must_use]
             pub fn columns(&self, nonlinear: &[f64], source: &dyn Columns) -> Vec<Vec<f64>> {
                 match self {
-                    $(Self::$Page(page) => law::columns(page, nonlinear, source),)*
+                    $(Self::$CauseSpec(page) => law::columns(page, nonlinear, source),)*
                     Self::Within(within) => within.columns(nonlinear, source),
                 }
             }
@@ -170,7 +170,7 @@ macro_rules! causes {
             #[must_use]
             pub fn sum(&self, values: &[f64], source: &dyn Columns) -> Vec<f64> {
                 match self {
-                    $(Self::$Page(page) => law::sum(page, values, source),)*
+                    $(Self::$CauseSpec(page) => law::sum(page, values, source),)*
                     Self::Within(within) => within.sum(values, source),
                 }
             }
@@ -179,7 +179,7 @@ macro_rules! causes {
             #[must_use]
             pub fn at_row(&self, values: &[f64], x: &[f64]) -> f64 {
                 match self {
-                    $(Self::$Page(page) => law::at_row(page, values, x),)*
+                    $(Self::$CauseSpec(page) => law::at_row(page, values, x),)*
                     Self::Within(within) => within.at_row(values, x),
                 }
             }
@@ -192,24 +192,24 @@ macro_rules! causes {
                 form: &OnBoard,
                 constant_um: &mut f64,
             ) -> Option<Self> {
-                $(if let Some(page) = $Page::from_board(own, form, constant_um) {
-                    return Some(Self::$Page(page));
+                $(if let Some(page) = $CauseSpec::from_board(own, form, constant_um) {
+                    return Some(Self::$CauseSpec(page));
                 })*
                 None
             }
         }
 
         impl Deref for Effect {
-            type Target = dyn Page;
+            type Target = dyn CauseSpec;
 
-            fn deref(&self) -> &(dyn Page + 'static) {
-                match self { $(Self::$Page(page) => page,)* Self::Within(within) => within }
+            fn deref(&self) -> &(dyn CauseSpec + 'static) {
+                match self { $(Self::$CauseSpec(page) => page,)* Self::Within(within) => within }
             }
         }
 
         impl DerefMut for Effect {
-            fn deref_mut(&mut self) -> &mut (dyn Page + 'static) {
-                match self { $(Self::$Page(page) => page,)* Self::Within(within) => within }
+            fn deref_mut(&mut self) -> &mut (dyn CauseSpec + 'static) {
+                match self { $(Self::$CauseSpec(page) => page,)* Self::Within(within) => within }
             }
         }
     };
@@ -276,7 +276,7 @@ impl Effect {
     }
 
     /// All causes that the data allow, neutral, each with values to begin from.
-    pub fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    pub fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         Cause::ALL.iter().for_each(|cause| cause.propose(survey, with));
         within::propose(survey, with);
     }
@@ -284,8 +284,8 @@ impl Effect {
     /// Why it cannot be a cause there, if it cannot: the rule, with its name.
     pub(crate) fn refused(&self, host: &Host<'_>) -> Option<String> {
         let elsewhere = match (self.home(), host.quantity.axis()) {
-            (Home::Axis, None) => Some("belongs to dx, dy or dz"),
-            (Home::Elongation, Some(_)) => Some("belongs to the elongation"),
+            (Target::Axis, None) => Some("belongs to dx, dy or dz"),
+            (Target::Elongation, Some(_)) => Some("belongs to the elongation"),
             _ => None,
         };
         let rule = self.refusal(host).or(elsewhere.map(String::from))?;
@@ -396,7 +396,7 @@ impl Effect {
     pub fn is_along_own_axis(&self) -> bool {
         let inputs = self.reads();
         let is_own = |input: &Input<'_>| matches!(input, Input::OwnPosition | Input::OwnDirection);
-        self.home() == Home::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
+        self.home() == Target::Axis && !inputs.is_empty() && inputs.iter().all(is_own)
     }
 
     /// Returns whether it goes with the direction in which its own axis was approached.

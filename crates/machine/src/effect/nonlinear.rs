@@ -23,7 +23,7 @@ pub enum Nonlinear {
     Limit,
     /// A time in s. It is searched, not fitted.
     Instant,
-    /// The value of a column from which a line begins, within [`Page::nonlinear_limits`](super::Page::nonlinear_limits).
+    /// The value of a column from which a line begins, within [`CauseSpec::nonlinear_limits`](super::CauseSpec::nonlinear_limits).
     Bend,
 }
 

@@ -1,6 +1,6 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
 
-use super::page::{Definition, Entry, Home, Input, Page, Parameter, Value};
+use super::cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target, Value};
 use crate::{file::read::Section, location::BadInput};
 
 /// Rows that were set aside.
@@ -10,13 +10,13 @@ pub struct Outliers {
     pub fraction: f64,
 }
 
-impl Page for Outliers {
+impl CauseSpec for Outliers {
     fn entries(&self) -> Vec<Entry> {
         vec![("fraction", Value::Number(self.fraction))]
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn is_compensated(&self) -> bool {

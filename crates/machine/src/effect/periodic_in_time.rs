@@ -10,14 +10,16 @@
 use std::f64::consts::TAU;
 
 use super::{
-    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value, number, positive},
-    survey::{Reading, Settings, Survey},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value, number, positive,
+    },
+    data_view::{DataView, Reading, StartValues},
     wave::{self, Wave},
 };
 use crate::{file::read::Section, location::BadInput};
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
-pub const FEWEST_GROUPS: f64 = 10.0;
+pub const MIN_GROUPS: f64 = 10.0;
 
 /// One wave over the time.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,7 +38,7 @@ impl PeriodicInTime {
     }
 }
 
-impl Page for PeriodicInTime {
+impl CauseSpec for PeriodicInTime {
     fn entries(&self) -> Vec<Entry> {
         vec![
             ("period_s", Value::Number(self.period_s)),
@@ -46,8 +48,8 @@ impl Page for PeriodicInTime {
         ]
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn tier(&self) -> u8 {
@@ -135,17 +137,17 @@ impl Definition for PeriodicInTime {
         )
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         const FREQUENCIES: usize = 8000;
         /// A wave of fewer turns is a slow law of something else.
-        const LEAST_TURNS: f64 = 3.0;
-        const LEAST_GROUPS: usize = 40;
+        const MIN_TURNS: f64 = 3.0;
+        const MIN_GROUPS_FITTED: usize = 40;
         let Some([first_s, last_s]) = survey.time_s() else { return };
-        if survey.groups() < LEAST_GROUPS || survey.files() > 1 {
+        if survey.groups() < MIN_GROUPS_FITTED || survey.files() > 1 {
             return;
         }
-        let shortest_s = FEWEST_GROUPS * (last_s - first_s) / survey.groups() as f64;
-        if let Some(peak) = survey.peak(Reading::Time, LEAST_TURNS, FREQUENCIES)
+        let shortest_s = MIN_GROUPS * (last_s - first_s) / survey.groups() as f64;
+        if let Some(peak) = survey.peak(Reading::Time, MIN_TURNS, FREQUENCIES)
             && peak.starts[0][0] >= shortest_s
             && !goes_with_an_input(survey, peak.starts[0][0])
         {
@@ -156,7 +158,7 @@ impl Definition for PeriodicInTime {
 
 /// Returns true where something that was recorded comes and goes with this period too, or with one that the record hardly
 /// shows apart: a law of that input that changes in the record has such periods next to the input's own.
-fn goes_with_an_input(survey: &dyn Survey, period_s: f64) -> bool {
+fn goes_with_an_input(survey: &dyn DataView, period_s: f64) -> bool {
     /// Share of an input's squares that is of this period.
     const SHARE: f64 = 0.25;
     /// Turns in the record, more and fewer.

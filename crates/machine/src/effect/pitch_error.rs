@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value},
-    survey::{Settings, Survey, spread, targets},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value},
+    data_view::{DataView, StartValues, spread, targets},
 };
 use crate::{
     file::axis::read_pitch,
@@ -26,7 +26,7 @@ impl PitchError {
     }
 }
 
-impl Page for PitchError {
+impl CauseSpec for PitchError {
     fn entries(&self) -> Vec<Entry> {
         let Pitch { start_mm, step_mm, forward_um, reverse_um } = &self.0;
         let mut entries = vec![
@@ -38,8 +38,8 @@ impl Page for PitchError {
         entries
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -141,7 +141,7 @@ impl Definition for PitchError {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(own) = survey.own_position().filter(|own| spread(own) > 0.0) else { return };
         if survey.has(Self::NAME) {
             return;
@@ -153,7 +153,7 @@ impl Definition for PitchError {
                     let reverse_um = both_ways.then(|| forward_um.clone());
                     with(
                         Self(Pitch { start_mm, step_mm, forward_um, reverse_um }),
-                        Settings::none(),
+                        StartValues::none(),
                     );
                 }
             }

@@ -7,8 +7,10 @@
 use std::f64::consts::TAU;
 
 use super::{
-    page::{Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Value, positive},
-    survey::{Reading, Settings, Survey, targets},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, OnBoard, Parameter, Target, Value, positive,
+    },
+    data_view::{DataView, Reading, StartValues, targets},
     wave::{self, Wave},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
@@ -28,14 +30,14 @@ impl PitchPeriodic {
     }
 }
 
-impl Page for PitchPeriodic {
+impl CauseSpec for PitchPeriodic {
     fn entries(&self) -> Vec<Entry> {
         let period_mm = ("period_mm", Value::Number(self.period_mm));
         [period_mm].into_iter().chain(wave::entries(&self.waves)).collect()
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -138,16 +140,16 @@ impl Definition for PitchPeriodic {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         const FREQUENCIES: usize = 8000;
         // At the targets of a test, the same again and again, a short wave looks like many longer ones.
-        const LEAST_PLACES: usize = 40;
+        const MIN_PLACES: usize = 40;
         // Where the instrument has waves of its own, what is periodic may be its as well.
         if survey.quantity().axis().is_none() || survey.has_instrument() {
             return;
         }
         let places = targets(survey.own_position().unwrap_or(&[]), 1e-3);
-        if places.len() < LEAST_PLACES {
+        if places.len() < MIN_PLACES {
             return;
         }
         let Some(peak) = survey.peak(Reading::Position, 2.0, FREQUENCIES) else { return };
@@ -165,7 +167,7 @@ impl Definition for PitchPeriodic {
         let turns = (1..=6).map(|turns| f64::from(turns) * period_mm);
         let starts: Vec<_> = turns.filter(|mm| *mm <= longest_mm).map(|mm| vec![mm]).collect();
         if survey.groups() > 600 {
-            with(Self::neutral(1..=12), Settings { starts, ..peak });
+            with(Self::neutral(1..=12), StartValues { starts, ..peak });
         }
     }
 }

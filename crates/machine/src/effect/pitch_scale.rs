@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -17,13 +17,13 @@ pub struct PitchScale {
     pub um_per_m: f64,
 }
 
-impl Page for PitchScale {
+impl CauseSpec for PitchScale {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_m", Value::Number(self.um_per_m))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -97,9 +97,9 @@ impl Definition for PitchScale {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.moves() {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 

@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{
     file::axis::LinearAxis, file::read::Section, location::BadInput, model::pitch::is_reverse,
@@ -19,13 +19,13 @@ pub struct PositionDependentBacklash {
     pub um_per_m: f64,
 }
 
-impl Page for PositionDependentBacklash {
+impl CauseSpec for PositionDependentBacklash {
     fn entries(&self) -> Vec<Entry> {
         vec![("um_per_m", Value::Number(self.um_per_m))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -83,9 +83,9 @@ impl Definition for PositionDependentBacklash {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.moves() && survey.turns() && survey.has_screw() {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

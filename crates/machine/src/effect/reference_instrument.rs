@@ -12,8 +12,8 @@
 use std::f64::consts::TAU;
 
 use super::{
-    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value},
-    survey::{Reading, Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value},
+    data_view::{DataView, Reading, StartValues},
     wave::{self, Wave},
 };
 use crate::{file::read::Section, location::BadInput};
@@ -76,7 +76,7 @@ impl ReferenceInstrument {
     }
 }
 
-impl Page for ReferenceInstrument {
+impl CauseSpec for ReferenceInstrument {
     fn entries(&self) -> Vec<Entry> {
         let mut entries = vec![("description", Value::Text(self.description.clone()))];
         if !self.waves.is_empty() {
@@ -87,8 +87,8 @@ impl Page for ReferenceInstrument {
         entries
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn is_compensated(&self) -> bool {
@@ -194,7 +194,7 @@ impl Definition for ReferenceInstrument {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         const FREQUENCIES: usize = 2000;
         if survey.quantity().axis().is_none() {
             // Less than three turns are a curve, and may be the sensor's.

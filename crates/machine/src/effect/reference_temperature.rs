@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Constants, Definition, Entry, Home, Host, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -17,13 +19,13 @@ pub struct ReferenceTemperature {
     pub shift_c: f64,
 }
 
-impl Page for ReferenceTemperature {
+impl CauseSpec for ReferenceTemperature {
     fn entries(&self) -> Vec<Entry> {
         vec![("shift_c", Value::Number(self.shift_c))]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn stage(&self) -> Stage {
@@ -77,10 +79,10 @@ impl Definition for ReferenceTemperature {
         Ok(Self { shift_c: number(section, "shift_c")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(thermal) = survey.thermal_in_use().filter(|_| survey.moves()) else { return };
         if thermal.mode.has_position() {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey, spread},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues, spread},
 };
 use crate::{
     file::read::Section,
@@ -21,13 +23,13 @@ pub struct SensorCurvature {
     pub per_um: f64,
 }
 
-impl Page for SensorCurvature {
+impl CauseSpec for SensorCurvature {
     fn entries(&self) -> Vec<Entry> {
         vec![("per_um", Value::Number(self.per_um))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn stage(&self) -> Stage {
@@ -86,9 +88,9 @@ impl Definition for SensorCurvature {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.source() == Some(ElongationSource::Sensor) && spread(survey.law()) > 0.0 {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

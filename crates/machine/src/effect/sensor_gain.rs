@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey, spread},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues, spread},
 };
 use crate::{
     file::read::Section,
@@ -27,13 +29,13 @@ impl Default for SensorGain {
     }
 }
 
-impl Page for SensorGain {
+impl CauseSpec for SensorGain {
     fn entries(&self) -> Vec<Entry> {
         vec![("gain", Value::Number(self.gain))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn stage(&self) -> Stage {
@@ -97,9 +99,9 @@ impl Definition for SensorGain {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.source() == Some(ElongationSource::Sensor) && spread(survey.law()) > 0.0 {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

@@ -5,8 +5,8 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, OnBoard, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value, number},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -17,13 +17,13 @@ pub struct SensorOffset {
     pub offset_um: f64,
 }
 
-impl Page for SensorOffset {
+impl CauseSpec for SensorOffset {
     fn entries(&self) -> Vec<Entry> {
         vec![("offset_um", Value::Number(self.offset_um))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -80,9 +80,9 @@ impl Definition for SensorOffset {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.quantity().axis().is_none() && !survey.has_constant() {
-            with(Self::default(), Settings::none());
+            with(Self::default(), StartValues::none());
         }
     }
 }

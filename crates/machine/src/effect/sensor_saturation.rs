@@ -5,10 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Definition, Entry, Home, Input, Nonlinear, OnBoard, Page, Parameter, Stage, Value, number,
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, OnBoard, Parameter, Stage, Target, Value,
+        number,
     },
-    survey::{Settings, Survey, spread},
+    data_view::{DataView, StartValues, spread},
 };
 use crate::{
     file::read::Section,
@@ -23,13 +24,13 @@ pub struct SensorSaturation {
     pub limit_um: f64,
 }
 
-impl Page for SensorSaturation {
+impl CauseSpec for SensorSaturation {
     fn entries(&self) -> Vec<Entry> {
         vec![("limit_um", Value::Number(self.limit_um))]
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn stage(&self) -> Stage {
@@ -96,9 +97,9 @@ impl Definition for SensorSaturation {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.source() == Some(ElongationSource::Sensor) && spread(survey.law()) > 0.0 {
-            with(Self::default(), Settings::at(quantiles(survey.law())));
+            with(Self::default(), StartValues::at(quantiles(survey.law())));
         }
     }
 }

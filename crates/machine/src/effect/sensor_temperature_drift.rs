@@ -5,9 +5,9 @@
 //! ```
 
 use super::{
+    cause_spec::{CauseSpec, Definition, Entry, Heat, Input, OnBoard, Parameter, Target, number},
+    data_view::{DataView, StartValues, spread},
     heat,
-    page::{Definition, Entry, Heat, Home, Input, OnBoard, Page, Parameter, number},
-    survey::{Settings, Survey, spread},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -15,13 +15,13 @@ use crate::{file::read::Section, location::BadInput};
 #[derive(Clone, Debug, PartialEq)]
 pub struct SensorTemperatureDrift(pub Heat);
 
-impl Page for SensorTemperatureDrift {
+impl CauseSpec for SensorTemperatureDrift {
     fn entries(&self) -> Vec<Entry> {
         heat::entries(&self.0).into_iter().filter(|(key, _)| *key != "time_constant_s").collect()
     }
 
-    fn home(&self) -> Home {
-        Home::Elongation
+    fn home(&self) -> Target {
+        Target::Elongation
     }
 
     fn inputs(&self, _: &[f64]) -> Vec<Input<'_>> {
@@ -82,10 +82,10 @@ impl Definition for SensorTemperatureDrift {
         add(0, x[0] - self.0.reference_c);
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(column) = heat::of_sensor(survey) else { return };
         if spread(survey.law()) > 0.0 && survey.varies(column) {
-            with(Self(heat::neutral(survey, column, false)), Settings::none());
+            with(Self(heat::neutral(survey, column, false)), StartValues::none());
         }
     }
 }

@@ -6,12 +6,12 @@
 //! ```
 
 use super::{
-    heat,
-    page::{
-        Definition, Entry, Heat, HeatPath, Home, Input, Nonlinear, OnBoard, Page, Parameter, Value,
-        minutes, number, positive,
+    cause_spec::{
+        CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter, Target,
+        Value, minutes, number, positive,
     },
-    survey::{Settings, Survey, TIME_CONSTANTS},
+    data_view::{DataView, StartValues, TIME_CONSTANTS},
+    heat,
 };
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
@@ -31,7 +31,7 @@ pub enum SlowMode {
     OfColumn(Heat),
 }
 
-impl Page for SlowMode {
+impl CauseSpec for SlowMode {
     fn entries(&self) -> Vec<Entry> {
         match self {
             Self::InTime { amplitude_um, time_constant_s, start_s } => vec![
@@ -43,8 +43,8 @@ impl Page for SlowMode {
         }
     }
 
-    fn home(&self) -> Home {
-        Home::Heat
+    fn home(&self) -> Target {
+        Target::Heat
     }
 
     fn tier(&self) -> u8 {
@@ -191,7 +191,7 @@ impl Definition for SlowMode {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for (column, _) in heat::columns(survey).into_iter().filter(|(_, is_in_use)| *is_in_use) {
             let time_constants = survey.time_constants(TIME_CONSTANTS);
             with(Self::OfColumn(heat::neutral(survey, column, true)), time_constants);

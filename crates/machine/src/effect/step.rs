@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -19,13 +21,13 @@ pub struct Step {
     pub size_um: f64,
 }
 
-impl Page for Step {
+impl CauseSpec for Step {
     fn entries(&self) -> Vec<Entry> {
         vec![("at_s", Value::Number(self.at_s)), ("size_um", Value::Number(self.size_um))]
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn is_compensated(&self) -> bool {
@@ -87,7 +89,7 @@ impl Definition for Step {
         );
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some([start_s, _]) = survey.time_s() else { return };
         if survey.files() == 1 && !survey.has(Self::NAME) {
             let groups = survey.groups();
@@ -96,7 +98,7 @@ impl Definition for Step {
                 .step_by(every)
                 .map(|group| survey.time_of_group(group))
                 .filter(|at_s| *at_s > start_s);
-            with(Self::default(), Settings::at(at));
+            with(Self::default(), StartValues::at(at));
         }
     }
 }

@@ -5,8 +5,10 @@
 //! ```
 
 use super::{
-    page::{Definition, Entry, Home, Host, Input, OnBoard, Page, Parameter, Value, axis},
-    survey::{Settings, Survey, even_knots, targets},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Host, Input, OnBoard, Parameter, Target, Value, axis,
+    },
+    data_view::{DataView, StartValues, even_knots, targets},
 };
 use crate::{
     file::read::Section,
@@ -38,7 +40,7 @@ fn knots_through(at: &[f64]) -> Vec<f64> {
     knots
 }
 
-impl Page for Straightness {
+impl CauseSpec for Straightness {
     fn entries(&self) -> Vec<Entry> {
         vec![
             ("along", Value::Text(self.along.name().into())),
@@ -49,8 +51,8 @@ impl Page for Straightness {
         ]
     }
 
-    fn home(&self) -> Home {
-        Home::Axis
+    fn home(&self) -> Target {
+        Target::Axis
     }
 
     fn refusal(&self, host: &Host<'_>) -> Option<String> {
@@ -127,7 +129,7 @@ impl Definition for Straightness {
         }
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         for along in survey.other_axes() {
             let column = format!("{}_mm", along.name());
             let at = targets(survey.column(&column).unwrap_or(&[]), 1e-3);
@@ -135,7 +137,7 @@ impl Definition for Straightness {
                 let controls = knots_mm.len() - 4;
                 if survey.groups() >= 5 * controls {
                     let spline = BSpline { order: 4, knots_mm, control_um: vec![0.0; controls] };
-                    with(Self { along, spline }, Settings::none());
+                    with(Self { along, spline }, StartValues::none());
                 }
             };
             for controls in CONTROLS.into_iter().filter(|controls| at.len() >= controls + 2) {

@@ -5,11 +5,11 @@
 //! ```
 
 use super::{
-    page::{
-        Constants, Definition, Entry, Home, Host, Nonlinear, Page, Parameter, Stage, Value,
+    cause_spec::{
+        CauseSpec, Constants, Definition, Entry, Host, Nonlinear, Parameter, Stage, Target, Value,
         minutes, positive,
     },
-    survey::{FINE_TIME_CONSTANTS, Settings, Survey, TIME_CONSTANTS},
+    data_view::{DataView, FINE_TIME_CONSTANTS, StartValues, TIME_CONSTANTS},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -20,13 +20,13 @@ pub struct ThermalLag {
     pub time_constant_s: f64,
 }
 
-impl Page for ThermalLag {
+impl CauseSpec for ThermalLag {
     fn entries(&self) -> Vec<Entry> {
         vec![("time_constant_s", Value::Number(self.time_constant_s))]
     }
 
-    fn home(&self) -> Home {
-        Home::OwnThermometer
+    fn home(&self) -> Target {
+        Target::OwnThermometer
     }
 
     fn stage(&self) -> Stage {
@@ -96,7 +96,7 @@ impl Definition for ThermalLag {
         Ok(Self { time_constant_s: positive(section, "time_constant_s")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(believed_s) = survey.believed_lag_s() else { return };
         // A thermometer that is late and a part that is late are one lateness, early or late.
         if survey.has("thermometer-lag") {

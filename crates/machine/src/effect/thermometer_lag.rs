@@ -16,11 +16,11 @@
 //! thermometer does. The remedy is another place for the thermometer.
 
 use super::{
-    page::{
-        Definition, Entry, Home, Host, Input, Late, LateForm, Nonlinear, Page, Parameter, Stage,
-        Value, minutes, positive,
+    cause_spec::{
+        CauseSpec, Definition, Entry, Host, Input, Late, LateForm, Nonlinear, Parameter, Stage,
+        Target, Value, minutes, positive,
     },
-    survey::{Settings, Survey},
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -49,15 +49,15 @@ impl ThermometerLag {
     }
 }
 
-impl Page for ThermometerLag {
+impl CauseSpec for ThermometerLag {
     fn entries(&self) -> Vec<Entry> {
         let mut entries = vec![("time_constant_s", Value::Number(self.time_constant_s))];
         entries.extend(self.form_entries());
         entries
     }
 
-    fn home(&self) -> Home {
-        Home::OwnThermometer
+    fn home(&self) -> Target {
+        Target::OwnThermometer
     }
 
     fn stage(&self) -> Stage {
@@ -143,7 +143,7 @@ impl Definition for ThermometerLag {
     }
 
     // Next to a lag of the law that is longer, a thermometer that lags is the same as a shorter law.
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         let Some(believed_s) = survey.believed_lag_s() else { return };
         if believed_s == 0.0 && !survey.has(Self::NAME) {
             let lags = SLOPES_OVER.map(|slope_over| LateForm::Lag { slope_over });

@@ -9,8 +9,10 @@
 //! `time_s`, `gauge_time_s`.
 
 use super::{
-    page::{Definition, Entry, Home, Input, Nonlinear, Page, Parameter, Stage, Value, number},
-    survey::{Settings, Survey},
+    cause_spec::{
+        CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Stage, Target, Value, number,
+    },
+    data_view::{DataView, StartValues},
 };
 use crate::{file::read::Section, location::BadInput};
 
@@ -21,13 +23,13 @@ pub struct TimeShift {
     pub shift_s: f64,
 }
 
-impl Page for TimeShift {
+impl CauseSpec for TimeShift {
     fn entries(&self) -> Vec<Entry> {
         vec![("shift_s", Value::Number(self.shift_s))]
     }
 
-    fn home(&self) -> Home {
-        Home::Any
+    fn home(&self) -> Target {
+        Target::Any
     }
 
     fn stage(&self) -> Stage {
@@ -94,7 +96,7 @@ impl Definition for TimeShift {
         Ok(Self { shift_s: number(section, "shift_s")? })
     }
 
-    fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Self, Settings)) {
+    fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {
         if survey.predicted_spread() > 0.0 {
             with(Self::default(), survey.shifts());
         }

@@ -1,6 +1,6 @@
 //! Waves of a periodic error: what the causes have in common that have some.
 
-use super::page::{Entry, Value};
+use super::cause_spec::{Entry, Value};
 use crate::{file::read::Section, location::BadInput};
 
 /// One wave of a periodic error.

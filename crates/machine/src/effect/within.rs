@@ -5,11 +5,13 @@
 
 use super::{
     Effect,
+    cause_spec::{
+        CauseSpec, Entry, Host, Input, Nonlinear, Parameter, Stage, Target, Times, Value,
+    },
     centrifugal_growth::CentrifugalGrowth,
+    data_view::{DataView, StartValues, spread},
     dependence::{Dependence, Form, SPEED},
     law::Columns,
-    page::{Entry, Home, Host, Input, Nonlinear, Page, Parameter, Stage, Times, Value},
-    survey::{Settings, Survey, spread},
 };
 use crate::{
     file::{axis::LinearAxis, inputs::is_temperature_column, read::Section},
@@ -17,10 +19,10 @@ use crate::{
 };
 
 /// Most values of an input at which a range may begin.
-const MOST_CUTS: usize = 9;
+const MAX_CUTS: usize = 9;
 
 /// How often an input must pass a bound: in and out three times. A single occurrence is an event of the run.
-const FEWEST_CROSSINGS: usize = 6;
+const MIN_CROSSINGS: usize = 6;
 
 /// Which side of the bound is inside.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -158,7 +160,7 @@ impl Within {
     }
 }
 
-impl Page for Within {
+impl CauseSpec for Within {
     fn entries(&self) -> Vec<Entry> {
         let mut entries = self.effect.entries();
         entries.push(("where_column", Value::Text(self.column.clone())));
@@ -166,7 +168,7 @@ impl Page for Within {
         entries
     }
 
-    fn home(&self) -> Home {
+    fn home(&self) -> Target {
         self.effect.home()
     }
 
@@ -234,7 +236,7 @@ impl Page for Within {
 }
 
 /// Proposes what acts only in a range: a constant, and growth by the speed.
-pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Effect, Settings)) {
+pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Effect, StartValues)) {
     let columns = survey.others().into_iter().chain(survey.temperatures()).chain([SPEED, "load_n"]);
     for column in columns {
         let Some(values) = survey.column(column).filter(|values| spread(values) > 0.0) else {
@@ -242,12 +244,11 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Effect, Settings
         };
         let cuts = cuts(values);
         let searched = (cuts.len().max(1) as f64).ln();
-        for bound in cuts.into_iter().filter(|bound| crossings(values, *bound) >= FEWEST_CROSSINGS)
-        {
+        for bound in cuts.into_iter().filter(|bound| crossings(values, *bound) >= MIN_CROSSINGS) {
             let mut add = |effect: Effect, side: Side| {
                 let (effect, column) = (Box::new(effect), column.into());
                 let within = Within { effect, column, side, bound };
-                with(Effect::Within(within), Settings { searched, ..Settings::none() });
+                with(Effect::Within(within), StartValues { searched, ..StartValues::none() });
             };
             let mut level = |times| {
                 let form = Form::Constant { added: 0.0 };
@@ -285,11 +286,11 @@ fn cuts(values: &[f64]) -> Vec<f64> {
         return Vec::new();
     }
     let middle = |pair: &[f64]| 0.5 * (pair[0] + pair[1]);
-    if different.len() <= MOST_CUTS + 1 {
+    if different.len() <= MAX_CUTS + 1 {
         return different.windows(2).map(middle).collect();
     }
-    let at = |n: usize| sorted[n * (sorted.len() - 1) / (MOST_CUTS + 1)];
-    let mut cuts: Vec<f64> = (1..=MOST_CUTS)
+    let at = |n: usize| sorted[n * (sorted.len() - 1) / (MAX_CUTS + 1)];
+    let mut cuts: Vec<f64> = (1..=MAX_CUTS)
         .filter_map(|n| {
             let next = different.partition_point(|value| *value <= at(n));
             Some(0.5 * (different.get(next - 1)? + different.get(next)?))

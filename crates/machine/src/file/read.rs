@@ -15,7 +15,7 @@ use crate::location::{BadInput, Location, Locations, did_you_mean, shortened};
 
 /// The longest array that is read: 4096 points of a pitch table 1 mm apart are four metres, and
 /// more than this is more than the board could store.
-pub(crate) const MOST_ELEMENTS: usize = 4096;
+pub(crate) const MAX_ELEMENTS: usize = 4096;
 
 /// A TOML file and where its keys stand.
 pub(crate) struct Document<'t> {
@@ -299,7 +299,7 @@ impl<'d> Section<'d> {
         self.three(key, value).map(Some)
     }
 
-    /// Returns the array `key` of 1 to [`MOST_ELEMENTS`] numbers.
+    /// Returns the array `key` of 1 to [`MAX_ELEMENTS`] numbers.
     pub(crate) fn numbers(&self, key: &str) -> Result<Option<Vec<f64>>, BadInput> {
         let number = |element: &str, value: &DeValue<'_>| self.finite(element, value);
         self.elements(key, "an array of numbers", number)
@@ -313,7 +313,7 @@ impl<'d> Section<'d> {
         }
     }
 
-    /// Returns the array `key` of 1 to [`MOST_ELEMENTS`] rows of exactly three numbers.
+    /// Returns the array `key` of 1 to [`MAX_ELEMENTS`] rows of exactly three numbers.
     pub(crate) fn rows(&self, key: &str) -> Result<Option<Vec<[f64; 3]>>, BadInput> {
         let row = |element: &str, value: &DeValue<'_>| self.three(element, value);
         self.elements(key, "an array of rows", row)
@@ -330,8 +330,8 @@ impl<'d> Section<'d> {
         let DeValue::Array(elements) = value else {
             return Err(self.wrong_type(key, wanted, value));
         };
-        if !(1..=MOST_ELEMENTS).contains(&elements.len()) {
-            let rule = format!("must have 1 to {MOST_ELEMENTS} elements, not {}", elements.len());
+        if !(1..=MAX_ELEMENTS).contains(&elements.len()) {
+            let rule = format!("must have 1 to {MAX_ELEMENTS} elements, not {}", elements.len());
             return Err(self.bad(key, rule));
         }
         elements

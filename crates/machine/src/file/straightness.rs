@@ -2,7 +2,7 @@
 
 use super::{
     axis::LinearAxis::{self, X, Y, Z},
-    read::{MOST_ELEMENTS, Section},
+    read::{MAX_ELEMENTS, Section},
     write::section::NewSection,
 };
 use crate::location::BadInput;
@@ -166,7 +166,7 @@ pub(crate) fn read_spline(section: &Section<'_>, control: &str) -> Result<BSplin
     let knots_mm = section.required("knots_mm", section.numbers("knots_mm")?)?;
     let control_um = section.required(control, section.numbers(control)?)?;
     // An order beyond every array is as wrong as any other that is not 2, 3 or 4.
-    let order = usize::try_from(order).unwrap_or(MOST_ELEMENTS);
+    let order = usize::try_from(order).unwrap_or(MAX_ELEMENTS);
     let spline = BSpline { order, knots_mm, control_um };
     spline.check().map_err(|fault| {
         let named = |text: String| text.replace(CONTROL, control);

@@ -134,7 +134,7 @@ impl<'b> BridgeRun<'b> {
 
     pub(super) fn step(&mut self, situation: &Situation<'_>) -> Values {
         self.take_conditions(situation);
-        self.heat_up(situation);
+        self.step_thermal(situation);
         self.take_conditions(situation);
         let calibration = &self.calibration;
         let reading = self.bridge.input.map(|it| it.reading_from_counts(situation.sensor_counts));
@@ -185,9 +185,9 @@ impl<'b> BridgeRun<'b> {
 
     /// Steps the heat up to the row, as often as the board would; a row that lacks something leaves
     /// it to the next.
-    fn heat_up(&mut self, situation: &Situation<'_>) {
+    fn step_thermal(&mut self, situation: &Situation<'_>) {
         /// More steps than that (eleven days) leave no lag unsettled that the board can follow.
-        const MOST_STEPS: u64 = 10_000_000;
+        const MAX_STEPS: u64 = 10_000_000;
         let temperatures: [Option<Temperature>; CHANNELS] = std::array::from_fn(|channel| {
             let name = self.bridge.channels[channel].as_ref()?;
             let units = situation.temperature_c(name) * f64::from(Temperature::PER_KELVIN);
@@ -212,7 +212,7 @@ impl<'b> BridgeRun<'b> {
         }
         let (start_s, done) = self.clock.get_or_insert((time_s, 0));
         let due = ((time_s - *start_s) * 1_000.0 / f64::from(STEP_MS)).round() as u64;
-        let steps = due.saturating_sub(*done).min(MOST_STEPS);
+        let steps = due.saturating_sub(*done).min(MAX_STEPS);
         *done = due;
         for _ in 0..steps {
             self.heat.step(&self.calibration, &temperatures, speed);

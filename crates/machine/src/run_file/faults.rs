@@ -1,7 +1,7 @@
 //! The faults of a run file, listed up to a limit: a logger that writes decimal commas has a fault in
 //! every row.
 
-use crate::location::{BadInput, MOST_LISTED};
+use crate::location::{BadInput, MAX_LISTED};
 
 /// The faults so far: what is not listed is counted.
 #[derive(Default)]
@@ -13,7 +13,7 @@ pub(super) struct Faults {
 
 impl Faults {
     pub(super) fn note(&mut self, fault: BadInput) {
-        if self.listed.len() < MOST_LISTED {
+        if self.listed.len() < MAX_LISTED {
             self.listed.push(fault);
         } else {
             self.unlisted += 1;

@@ -12,7 +12,7 @@ use crate::{
 
 /// The longest line that is read, in bytes, its end included: the bytes of ten times as many
 /// columns as a file may have.
-const MOST_BYTES_OF_A_LINE: usize = 1 << 20;
+const MAX_BYTES_OF_A_LINE: usize = 1 << 20;
 
 /// The lines that a fault keeps from being read.
 pub(super) enum Unread {
@@ -72,13 +72,13 @@ impl<'p, S: BufRead> Lines<'p, S> {
     pub(super) fn read(&mut self) -> Result<Option<Line>, Unread> {
         self.bytes.clear();
         self.number += 1;
-        let most = MOST_BYTES_OF_A_LINE as u64 + 1;
+        let most = MAX_BYTES_OF_A_LINE as u64 + 1;
         let read = self.source.by_ref().take(most).read_until(b'\n', &mut self.bytes).map_err(
             |error| Unread::Rest(BadInput::new(self.place(1), format!("cannot be read: {error}"))),
         )?;
-        if read > MOST_BYTES_OF_A_LINE {
+        if read > MAX_BYTES_OF_A_LINE {
             let rule = format!(
-                "the line is longer than {MOST_BYTES_OF_A_LINE} bytes: a run file has one \
+                "the line is longer than {MAX_BYTES_OF_A_LINE} bytes: a run file has one \
                  observation a line"
             );
             return Err(Unread::Rest(BadInput::new(self.place(1), rule)));

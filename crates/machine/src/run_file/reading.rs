@@ -17,7 +17,7 @@ use super::{
     order::TimeOrder,
     places::Places,
     plain,
-    table::{Bounds, Column, MOST_COLUMNS, Slip, Table},
+    table::{Bounds, Column, ColumnTypo, MAX_COLUMNS, Table},
 };
 use crate::location::{BadInput, Location, shortened};
 
@@ -27,7 +27,7 @@ pub(super) struct Reading<'p> {
     separator: char,
     header_line: usize,
     columns: Vec<Filling>,
-    slips: Vec<Slip>,
+    slips: Vec<ColumnTypo>,
     labels: Vec<(f64, String)>,
     line_of_row: Vec<u32>,
     cells: Cells,
@@ -123,8 +123,8 @@ impl<'p> Reading<'p> {
             if field.text.trim().contains('\t') {
                 return Err(bad("columns must be separated by , or ; and not by tabs".into()));
             }
-            if columns.len() == MOST_COLUMNS {
-                return Err(bad(format!("more than {MOST_COLUMNS} columns")));
+            if columns.len() == MAX_COLUMNS {
+                return Err(bad(format!("more than {MAX_COLUMNS} columns")));
             }
             if name.is_empty() {
                 faults.note(bad(format!("column {number} has no name")).with_help(
@@ -146,7 +146,7 @@ impl<'p> Reading<'p> {
                 faults.note(bad(rule).with_help("leave one of them out, or give it another name"));
             }
             if let Some(meant) = meant::meant(name) {
-                slips.push(Slip { name: name.to_string(), meant, column: field.column });
+                slips.push(ColumnTypo { name: name.to_string(), meant, column: field.column });
             }
             columns.push(Filling {
                 name: axis.to_string(),

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use super::places::Places;
 
 /// The longest run file that is read, in bytes: a million rows of fifty numbers of twenty digits.
-pub const MOST_BYTES: u64 = 1 << 30;
+pub const MAX_BYTES: u64 = 1 << 30;
 
 /// The most columns that a run file may have.
-pub const MOST_COLUMNS: usize = 4096;
+pub const MAX_COLUMNS: usize = 4096;
 
 /// The most values that a run file may have, rows times columns: a million rows of fifty columns.
-pub const MOST_VALUES: usize = 50_000_000;
+pub const MAX_VALUES: usize = 50_000_000;
 
 /// One column of a run.
 #[derive(Clone, Debug)]
@@ -26,7 +26,7 @@ pub struct Column {
 
 /// A column that is not known, and the known one that was probably meant.
 #[derive(Clone, Debug)]
-pub(super) struct Slip {
+pub(super) struct ColumnTypo {
     pub(super) name: String,
     pub(super) meant: String,
     /// The character column of its name in the header, from 1.
@@ -46,7 +46,7 @@ pub(super) struct Table {
     pub(super) header_line: usize,
     /// The line of each row, from 1: empty lines and comments are no rows.
     pub(super) line_of_row: Vec<u32>,
-    pub(super) slips: Vec<Slip>,
+    pub(super) slips: Vec<ColumnTypo>,
     /// The labels of tools, by the number in whose form each is kept.
     pub(super) labels: Vec<(f64, String)>,
     /// The instant from which `time_s` counts, in s from 1970, where it was written as dates.

@@ -18,7 +18,7 @@ use trueup_core::{
 };
 
 use crate::{
-    compile::{stored_law_nm, term::MOST_LEVERS, time_constant_s},
+    compile::{stored_law_nm, term::MAX_LEVERS, time_constant_s},
     stored::{FINE_PER_NM, GRADIENT_PER_UM_PER_M, NM_PER_UM},
 };
 
@@ -54,7 +54,7 @@ pub(super) fn difference_nm(a: &Calibration<'_>, b: &Calibration<'_>) -> Option<
         worst = worst.max(metre_of(*a, b));
     }
     let volume = both(a.volume.as_ref(), b.volume.as_ref(), volume_difference_nm)?;
-    worst = worst.max(volume * MOST_LEVERS);
+    worst = worst.max(volume * MAX_LEVERS);
     for (a, b) in a.terms.iter().zip(&b.terms) {
         worst = worst.max(both(a.as_ref(), b.as_ref(), term_difference_nm)?);
     }
@@ -246,7 +246,7 @@ pub(super) fn term_difference_nm(a: &Term<'_>, b: &Term<'_>) -> Option<f64> {
                 == (other.along, other.lever, other.origin) =>
         {
             let at_lever = curve_difference(&tilt.angle, &other.angle) / FINE_PER_NM;
-            Some(at_lever * MOST_LEVERS)
+            Some(at_lever * MAX_LEVERS)
         }
         (
             Effect::Wave { turns, phase, amplitude },

@@ -53,16 +53,16 @@ impl<'c> Rig<'c> {
             self.ms += 1;
             let (bridge, state) = (&self.bridge, &mut self.state);
             let control = Control::ENGAGED;
-            bridge.hear(state, Command::Control(control));
+            bridge.receive(state, Command::Control(control));
             for axis in LinearAxis::ALL {
                 let position = (self.position_mm[axis as usize] * UNITS_PER_MM).round() as i32;
                 let direction = self.heading[axis as usize];
-                let heard = AxisPosition { axis, position: Position(position), direction };
-                bridge.hear(state, Command::Position(heard));
+                let received = AxisPosition { axis, position: Position(position), direction };
+                bridge.receive(state, Command::Position(received));
             }
             let angles =
                 self.angles_deg.map(|degrees| MicroDegrees((degrees * 1e6).round() as i32));
-            bridge.hear(state, Command::Rotary(Rotary { angles }));
+            bridge.receive(state, Command::Rotary(Rotary { angles }));
             let code = self.counts / 8;
             let codes: [Code; CODES_PER_TICK] = std::array::from_fn(|n| match n % 4 {
                 0 => Code(code - 1),

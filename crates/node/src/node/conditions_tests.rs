@@ -43,10 +43,12 @@ impl Rig {
 
     /// `Control`, and `Conditions` if they are said, then 20 ms.
     fn says(&mut self, control: Control, conditions: Option<Frame>) {
-        self.node.hear(Line::Can, &frames::control(control, self.counter)).expect("in order");
+        self.node
+            .receive(Interface::Can, &frames::control(control, self.counter))
+            .expect("in order");
         self.counter = self.counter.wrapping_add(1);
         if let Some(frame) = conditions {
-            let _ = self.node.hear(Line::Can, &frame);
+            let _ = self.node.receive(Interface::Can, &frame);
         }
         let codes: [Code; CODES_PER_TICK] =
             core::array::from_fn(|n| Code(700 + u16::from(n % 2 == 1)));

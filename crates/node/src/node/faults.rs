@@ -24,7 +24,7 @@ impl Node<'_> {
             .with_if(self.zero_refused, Fault::ZeroRefused)
             .with_if(self.learned_refused, Fault::LearnedRefused)
             .with_if(self.state.position_has_jumped(), Fault::PositionJump)
-            .with_if(self.state.sensor_is_odd(), Fault::SensorOdd)
+            .with_if(self.state.sensor_is_anomalous(), Fault::SensorOdd)
             .with_if(
                 self.bridge.as_ref().is_some_and(|it| it.fall_back_is_dead(&self.state)),
                 Fault::SourceDead,

@@ -10,7 +10,7 @@ use trueup_core::cnc::Control;
 use trueup_link::frames;
 
 use super::{
-    Line, Node,
+    Interface, Node,
     firmware::{Piece, Slots, Step},
     tests_calibration,
 };
@@ -21,7 +21,7 @@ fn in_service(buffer: &mut [u8]) -> Node<'_> {
     node.set_buffer(buffer);
     let service = Control { service: true, ..Control::REFERENCED };
     for counter in 0..4 {
-        node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(service, counter)).expect("in order");
     }
     let status = [[5, 0], [3, 2]];
     node.note_slots(Slots { running: 1, versions: [0x0102_0300, 0x0102_0400], status, floor: 7 });
@@ -158,13 +158,14 @@ fn nothing_is_taken_without_service_or_while_an_offset_is_followed_and_a_board_w
     node.append(O::FirmwareImage, &[1; 7]).expect("room");
     // The CNC ends its service: the next segment is refused.
     for counter in 4..8 {
-        node.hear(Line::Can, &frames::control(Control::REFERENCED, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(Control::REFERENCED, counter))
+            .expect("in order");
     }
     assert_eq!(node.append(O::FirmwareImage, &[1; 7]), Err(Abort::DeviceState));
     node.firmware = super::firmware::Firmware::default();
     for counter in 8..12 {
         let service = Control { service: true, ..Control::REFERENCED };
-        node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(service, counter)).expect("in order");
     }
     assert_eq!(node.open(O::FirmwareHeader, None), Err(Abort::CannotStore), "it has no slots");
 }

@@ -16,7 +16,7 @@ impl Node<'_> {
     /// Takes what a believed `Control` says of it.
     // Called for none of the 50 frames a second, or for one part: kept out of the code that all frames run.
     #[inline(never)]
-    pub(super) fn hear_learned(&mut self, change: Change) {
+    pub(super) fn receive_learned(&mut self, change: Change) {
         let is_ours = change.calibration == named(identity(self.blob));
         let is_taken = match &self.bridge {
             Some(bridge) if is_ours => bridge.learn(&mut self.state, change),

@@ -60,7 +60,9 @@ impl Rig {
     fn says(&mut self, control: Control, count: usize) -> Vec<i32> {
         let mut all = Vec::new();
         for _ in 0..count {
-            self.node.hear(Line::Can, &frames::control(control, self.counter)).expect("in order");
+            self.node
+                .receive(Interface::Can, &frames::control(control, self.counter))
+                .expect("in order");
             self.counter = self.counter.wrapping_add(1);
             all.extend(self.ticks(20));
         }
@@ -161,7 +163,7 @@ fn that_nothing_was_learned_is_never_refused_and_of_another_calibration_takes_no
     let learned = Change { part: 1, amount: 0, calibration: named(0) };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
-        bare.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        bare.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
         bare.tick(1, Input::default());
     }
     assert!(!bare.faults(bare.last()).has(Fault::LearnedRefused));
@@ -174,7 +176,7 @@ fn a_calibration_that_states_no_cap_lets_nothing_be_changed() {
     let learned = Change { part: 1, amount: 1, calibration: named(identity(&[])) };
     for counter in 0..10 {
         let control = Control { learned, ..Control::REFERENCED };
-        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
         node.tick(1, Input::default());
     }
     assert!(node.faults(node.last()).has(Fault::LearnedRefused));
@@ -188,13 +190,13 @@ fn what_is_damaged_repeated_or_from_another_line_moves_nothing() {
     let mut damaged = *frames::control(control, rig.counter).data();
     damaged[4] ^= 1;
     let damaged = Frame::new(CONTROL_ID, &damaged).expect("8 bytes");
-    assert!(rig.node.hear(Line::Can, &damaged).is_err());
+    assert!(rig.node.receive(Interface::Can, &damaged).is_err());
     let repeated = frames::control(control, rig.counter.wrapping_sub(1));
-    assert!(rig.node.hear(Line::Can, &repeated).is_err());
+    assert!(rig.node.receive(Interface::Can, &repeated).is_err());
     let late = frames::control(control, rig.counter.wrapping_add(100));
-    assert!(rig.node.hear(Line::Can, &late).is_err());
+    assert!(rig.node.receive(Interface::Can, &late).is_err());
     let strange = frames::control(control, 0);
-    assert_eq!(rig.node.hear(Line::Serial, &strange), Ok(None));
+    assert_eq!(rig.node.receive(Interface::Serial, &strange), Ok(None));
     rig.ticks(400);
     assert_eq!((rig.now(), rig.z_nm()), ([0; PARTS], GROWN_NM));
     assert!(rig.node.master.is_second(), "who speaks on another line is told");
@@ -206,7 +208,7 @@ fn of_two_masters_on_one_line_neither_is_believed() {
     let learned = rig.change(1, 100);
     for _ in 0..3 {
         let late = frames::control(Control::ENGAGED, rig.counter.wrapping_add(100));
-        assert!(rig.node.hear(Line::Can, &late).is_err());
+        assert!(rig.node.receive(Interface::Can, &late).is_err());
         rig.counter = rig.counter.wrapping_add(101);
     }
     rig.says(Control { learned, ..Control::ENGAGED }, 5);
@@ -250,7 +252,7 @@ fn it_may_be_said_at_rest_and_forget_and_a_restart_forget_it() {
     assert_eq!(rig.now(), [0; PARTS]);
 
     rig.says(at_rest, 200);
-    let kept = rig.node.kept();
+    let kept = rig.node.retained();
     let mut again = Rig::new();
     again.node.resume(Some(&kept), 0);
     again.says(Control::REFERENCED, 3);

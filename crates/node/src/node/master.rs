@@ -27,7 +27,7 @@ use trueup_core::cnc::Control;
 
 /// A wire on which the bridge is spoken to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Line {
+pub enum Interface {
     /// The CAN bus.
     Can,
     /// SLCAN on the serial line.
@@ -70,7 +70,7 @@ enum Asked {
 }
 
 impl Edge {
-    fn hear(&mut self, bit: bool, is_steady: bool) -> Asked {
+    fn receive(&mut self, bit: bool, is_steady: bool) -> Asked {
         let was_begun = (1..STEADY).contains(&self.run);
         if !bit {
             *self = Self { is_armed: is_steady, run: 0 };
@@ -95,7 +95,7 @@ impl Edge {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Master {
     /// Where the last `Control` was accepted; `None`: none was, or it is too long ago.
-    line: Option<Line>,
+    line: Option<Interface>,
     silent_ms: u32,
     last: Control,
     zero: Edge,
@@ -125,7 +125,7 @@ pub(super) struct Master {
 
 /// The outcome of a `Control` frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Heard {
+pub(super) struct ControlEvent {
     /// The command that the bridge follows: `Zero` is set where its edge is believed, and in this frame alone.
     pub control: Control,
     /// `Zero` was asked for, believed or not.
@@ -136,23 +136,23 @@ pub(super) struct Heard {
 
 impl Master {
     /// Returns true if the commands of a CNC are accepted from this line.
-    pub fn admits(&self, line: Line) -> bool {
+    pub fn admits(&self, line: Interface) -> bool {
         self.line.is_none_or(|his| his == line)
     }
 
     /// Records a CNC's frame on a line that is not the master's. A damaged frame is noise and does not count.
-    pub fn hear_other(&mut self) {
+    pub fn receive_other(&mut self) {
         self.other_line_ms = TOLD_MS;
     }
 
     /// Takes an accepted `Control`; `None`: it is not believed.
-    pub fn take(&mut self, line: Line, control: Control) -> Option<Heard> {
+    pub fn take(&mut self, line: Interface, control: Control) -> Option<ControlEvent> {
         self.line = Some(line);
         self.silent_ms = 0;
         self.steady = self.steady.saturating_add(1).min(STEADY);
         let is_steady = self.steady >= STEADY;
-        let asked = self.zero.hear(control.zero, is_steady);
-        let confirm = self.confirm.hear(control.confirm, is_steady) == Asked::Yes;
+        let asked = self.zero.receive(control.zero, is_steady);
+        let confirm = self.confirm.receive(control.confirm, is_steady) == Asked::Yes;
         let was_cut = core::mem::take(&mut self.zero_was_cut);
         let zero = was_cut || asked != Asked::No;
         self.last = control;
@@ -164,7 +164,7 @@ impl Master {
             self.released = self.released.saturating_add(1).min(STEADY);
         }
         let control = Control { zero: asked == Asked::Yes, confirm: false, ..control };
-        (!self.is_doubtful).then_some(Heard { control, zero, confirm })
+        (!self.is_doubtful).then_some(ControlEvent { control, zero, confirm })
     }
 
     /// A `Control` that was refused; `is_sound`: it was whole, but not in sequence.

@@ -2,9 +2,9 @@
 
 use trueup_canopen::emergency::Fault;
 
-use trueup_store::writes::What;
+use trueup_store::writes::WriteKind;
 
-use super::{Line, Node};
+use super::{Interface, Node};
 
 /// The questions that bar every offset, in the order in which `Confirm` answers them.
 const QUESTIONS: [Fault; 4] = [
@@ -17,15 +17,15 @@ const QUESTIONS: [Fault; 4] = [
 impl Node<'_> {
     /// Asks the operator something. Until `Confirm` has answered it nothing is available; only
     /// [`Fault::HeatUnknown`] leaves what does not rest on the heat.
-    pub fn ask(&mut self, question: Fault) {
+    pub fn require_confirmation(&mut self, question: Fault) {
         self.questions = self.questions.with_if(true, question);
-        self.bar();
+        self.inhibit();
     }
 
     /// The running constants are those of the example: nothing is ever available.
-    pub fn bar_example(&mut self) {
-        self.note(Fault::ExampleConstants);
-        self.bar();
+    pub fn inhibit_example(&mut self) {
+        self.set_fault(Fault::ExampleConstants);
+        self.inhibit();
     }
 
     /// Returns whether the running constants are those of the example.
@@ -35,8 +35,8 @@ impl Node<'_> {
 
     /// The board has found itself damaged: nothing is available until it starts anew and is not.
     pub fn bar_damaged(&mut self) {
-        self.note(Fault::SelfTest);
-        self.bar();
+        self.set_fault(Fault::SelfTest);
+        self.inhibit();
     }
 
     /// Returns the question that was answered last, once.
@@ -46,16 +46,16 @@ impl Node<'_> {
 
     /// Bars the offsets until the engage sequence is complete, the questions are answered, the constants are
     /// not the example's, and the board is not damaged.
-    pub(super) fn bar(&mut self) {
-        let barred = !self.master.is_started()
+    pub(super) fn inhibit(&mut self) {
+        let inhibited = !self.master.is_started()
             || QUESTIONS.into_iter().any(|question| self.questions.has(question))
             || self.board_faults.has(Fault::ExampleConstants)
             || self.board_faults.has(Fault::SelfTest);
-        self.state.bar(barred);
+        self.state.inhibit(inhibited);
     }
 
     /// The first question that is open is answered.
-    pub(super) fn confirm(&mut self, line: Line) {
+    pub(super) fn confirm(&mut self, line: Interface) {
         let open = QUESTIONS.into_iter().chain([Fault::HeatUnknown]);
         let first = open.into_iter().find(|question| self.questions.has(*question));
         if let Some(question) = first {
@@ -67,7 +67,7 @@ impl Node<'_> {
                 _ => {}
             }
             self.confirmed = Some(question);
-            self.log(What::Confirmed, u32::from(question as u8), Some(line));
+            self.log(WriteKind::Confirmed, u32::from(question as u8), Some(line));
             if question == Fault::ForeignMachine {
                 self.name(Some(line));
             }

@@ -37,7 +37,7 @@ fn pass(node: &mut Node<'_>, ms: u32, code: u16) {
 fn after(node: &mut Node<'_>, said: &[Control], first: u16) -> u16 {
     let mut counter = first;
     for control in said {
-        assert_eq!(node.hear_registers(&block(*control, counter)), Ok(()));
+        assert_eq!(node.receive_registers(&block(*control, counter)), Ok(()));
         counter = counter.wrapping_add(1);
         pass(node, 20, 700);
     }
@@ -62,12 +62,12 @@ fn state(node: &Node<'_>) -> StateBits {
 #[test]
 fn a_plc_engages_by_the_sequence_and_a_plc_that_falls_silent_is_a_lost_cnc() {
     let (on, off) = (Control::ENGAGED, Control::REFERENCED);
-    for (heard, is_available) in
+    for (received, is_available) in
         [(vec![on; 20], false), (vec![off, off, on, on], false), (vec![off, off, off, on], true)]
     {
         let mut node = Node::new(Some(tests_calibration()), false);
-        after(&mut node, &heard, 7);
-        assert_eq!(node.last().offset.is_some(), is_available, "{heard:?}");
+        after(&mut node, &received, 7);
+        assert_eq!(node.last().offset.is_some(), is_available, "{received:?}");
         assert_eq!(state(&node).contains(StateBits::RESTARTED), !is_available);
     }
     let (mut node, _) = engaged();
@@ -97,7 +97,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
         (block(Control::default(), counter.wrapping_sub(1)), 3),
         (block(Control::default(), counter.wrapping_add(900)), 4),
     ] {
-        assert_eq!(node.hear_registers(&bad), Ok(()), "it is acknowledged");
+        assert_eq!(node.receive_registers(&bad), Ok(()), "it is acknowledged");
         assert_eq!(node.said().last_refused, reason);
         pass(&mut node, 20, 700);
         let moved = [node.last(), &before].map(|it| it.offset.expect("live")[2].0);
@@ -110,7 +110,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
     assert_eq!(node.said().refused, 3);
     // As on CAN, three that are whole and out of order within 2.4 s are two masters.
     assert!(!state(&node).contains(StateBits::SECOND_MASTER));
-    node.hear_registers(&block(Control::default(), counter)).expect("acknowledged");
+    node.receive_registers(&block(Control::default(), counter)).expect("acknowledged");
     pass(&mut node, 2, 700);
     assert!(state(&node).contains(StateBits::SECOND_MASTER));
 }
@@ -119,7 +119,7 @@ fn blocks_that_are_damaged_repeated_or_jump_are_counted_and_move_nothing() {
 fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
     let mut node = Node::new(Some(tests_calibration()), false);
     let can = |node: &mut Node<'_>, control, counter| {
-        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
         pass(node, 20, 700);
     };
     (0..4).for_each(|n| can(&mut node, Control::REFERENCED, n));
@@ -128,7 +128,7 @@ fn a_plc_beside_a_cnc_on_can_is_busy_and_told_and_noise_is_not() {
         for n in 30..40 {
             let mut theirs = block(Control::default(), n);
             theirs[5] ^= damage;
-            assert_eq!(node.hear_registers(&theirs), Err(Busy));
+            assert_eq!(node.receive_registers(&theirs), Err(Busy));
             can(&mut node, Control::ENGAGED, n.to_le_bytes()[0] + if is_told { 10 } else { 0 });
         }
         assert_eq!(state(&node).contains(StateBits::SECOND_MASTER), is_told);
@@ -158,16 +158,16 @@ fn a_block_taken_in_steps_ends_where_one_taken_at_once_does() {
     let ((mut at_once, mut counter), (mut in_steps, _)) = (engaged(), engaged());
     for n in 0..40 {
         let registers = whole_block(counter, n.min(10));
-        assert_eq!(at_once.hear_registers(&registers), Ok(()));
+        assert_eq!(at_once.receive_registers(&registers), Ok(()));
         pass(&mut at_once, 10, 700);
         let block = Block::examine(&registers);
-        assert_eq!(in_steps.hear_block(&block), Ok(true));
+        assert_eq!(in_steps.receive_block(&block), Ok(true));
         let values: Vec<Command> = block.values().collect();
         assert_eq!(values.len(), 6, "all are there: {values:?}");
         for value in values {
             // A tick of the offset comes in between.
             pass(&mut in_steps, 1, 700);
-            in_steps.hear_value(value);
+            in_steps.receive_value(value);
         }
         pass(&mut in_steps, 4, 700);
         counter = counter.wrapping_add(1);
@@ -183,12 +183,13 @@ fn values_of_a_block_have_no_effect_once_another_line_has_the_master() {
     for (is_lost, is_unknown) in [(false, false), (true, true)] {
         let (mut node, counter) = engaged();
         let block = Block::examine(&whole_block(counter, 0));
-        assert_eq!(node.hear_block(&block), Ok(true));
+        assert_eq!(node.receive_block(&block), Ok(true));
         if is_lost {
             pass(&mut node, 600, 700);
-            node.hear(Line::Can, &frames::control(Control::REFERENCED, 0)).expect("in order");
+            node.receive(Interface::Can, &frames::control(Control::REFERENCED, 0))
+                .expect("in order");
         }
-        block.values().for_each(|value| node.hear_value(value));
+        block.values().for_each(|value| node.receive_value(value));
         pass(&mut node, 2, 700);
         assert_eq!(node.last().flags.contains(Flags::SPEED_UNKNOWN), is_unknown);
     }
@@ -207,7 +208,7 @@ impl Bridge for Reached<'_> {
     }
 
     fn take(&mut self, block: &cnc::Registers) -> Result<(), Busy> {
-        self.0.hear_registers(block)
+        self.0.receive_registers(block)
     }
 }
 
@@ -242,7 +243,8 @@ fn of_100_000_polls_of_values_that_change_every_millisecond_none_is_half_old() {
         let step = n / 8 % 2_000;
         pass(&mut node, 1, 700 + step.min(2_000 - step) as u16);
         if n % 20 == 0 {
-            node.hear_registers(&block(Control::ENGAGED, counter)).expect("nobody else is there");
+            node.receive_registers(&block(Control::ENGAGED, counter))
+                .expect("nobody else is there");
             counter = counter.wrapping_add(1);
         }
     }

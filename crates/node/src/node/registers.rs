@@ -8,7 +8,7 @@ use trueup_modbus::{
     server::Busy,
 };
 
-use super::{Line, Node};
+use super::{Interface, Node};
 
 /// State of the exchange in registers.
 #[derive(Debug, Default)]
@@ -46,24 +46,24 @@ impl Node<'_> {
     }
 
     /// Takes a holding block from the RS-485 line, and follows its `Control`. Returns whether its values are to follow, one
-    /// by one, by [`Node::hear_value`]: a tick between two of them comes first, as between two frames on CAN. A block that
+    /// by one, by [`Node::receive_value`]: a tick between two of them comes first, as between two frames on CAN. A block that
     /// is refused has no effect; it is counted, and reported in the input block.
     ///
     /// # Errors
     /// A CNC on another line is the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn hear_block(&mut self, block: &Block) -> Result<bool, Busy> {
-        if !self.master.admits(Line::Modbus) {
+    pub fn receive_block(&mut self, block: &Block) -> Result<bool, Busy> {
+        if !self.master.admits(Interface::Modbus) {
             if block.is_sound() {
-                self.master.hear_other();
+                self.master.receive_other();
             }
             return Err(Busy);
         }
         match self.registers.checker.admit(block) {
             Ok(said) => {
                 self.registers.holding = *block.registers();
-                self.hear_control(Line::Modbus, said.control);
+                self.receive_control(Interface::Modbus, said.control);
                 Ok(true)
             }
             Err(refused) => {
@@ -79,23 +79,23 @@ impl Node<'_> {
     /// Takes one of the values of a block that was taken. It has no effect once another line has the master.
     // A function of its own in the image, where a test follows its calls (host-tests, no_panic).
     #[inline(never)]
-    pub fn hear_value(&mut self, value: Command) {
-        if !self.master.admits(Line::Modbus) {
+    pub fn receive_value(&mut self, value: Command) {
+        if !self.master.admits(Interface::Modbus) {
             return;
         }
         if let Some(bridge) = &self.bridge {
-            bridge.hear(&mut self.state, value);
+            bridge.receive(&mut self.state, value);
         }
     }
 
     /// Takes the registers of a holding block and all of its values, where nothing else uses the node.
     ///
     /// # Errors
-    /// As [`Node::hear_block`].
-    pub fn hear_registers(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
+    /// As [`Node::receive_block`].
+    pub fn receive_registers(&mut self, registers: &cnc::Registers) -> Result<(), Busy> {
         let block = Block::examine(registers);
-        if self.hear_block(&block)? {
-            block.values().for_each(|value| self.hear_value(value));
+        if self.receive_block(&block)? {
+            block.values().for_each(|value| self.receive_value(value));
         }
         Ok(())
     }

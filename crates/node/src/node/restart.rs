@@ -1,7 +1,7 @@
 //! The state that outlasts a reset, and time that samples do not count.
 
 use trueup_core::{dimensions::STEP_MS, units::Millis};
-use trueup_store::retained::Kept;
+use trueup_store::retained::RetainedState;
 
 use super::Node;
 
@@ -12,16 +12,16 @@ const FORGIVEN_MS: u32 = 1_000;
 impl Node<'_> {
     /// Returns what is to outlast a reset.
     #[must_use]
-    pub fn kept(&self) -> Kept {
+    pub fn retained(&self) -> RetainedState {
         let heat = self.bridge.as_ref().map(|bridge| bridge.heat_memory(&self.state));
-        Kept { heat: heat.unwrap_or_default(), joint: self.state.kept_joint() }
+        RetainedState { heat: heat.unwrap_or_default(), joint: self.state.retained_joint() }
     }
 
     /// Goes on from before a reset, or from this many seconds without power ago; with nothing kept, the power was
     /// gone, and what heat the machine has is not known. A board that is cold at its start does not call this.
-    pub fn resume(&mut self, kept: Option<&Kept>, off_s: u32) {
+    pub fn resume(&mut self, kept: Option<&RetainedState>, off_s: u32) {
         let Some(bridge) = &self.bridge else { return };
-        let Kept { heat, joint } = kept.copied().unwrap_or_default();
+        let RetainedState { heat, joint } = kept.copied().unwrap_or_default();
         bridge.resume_heat(&mut self.state, &heat, off_s.saturating_mul(1_000 / STEP_MS));
         if let Some(joint) = joint {
             self.state.resume_joint(joint);

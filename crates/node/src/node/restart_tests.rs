@@ -46,7 +46,7 @@ impl Life {
             frames::control(control, self.counter),
             frames::spindle(Spindle { speed: Rpm(12_000), load_n: 0 }, self.counter),
         ] {
-            self.node.hear(Line::Can, &frame).expect("in order");
+            self.node.receive(Interface::Can, &frame).expect("in order");
         }
         self.counter = self.counter.wrapping_add(1);
     }
@@ -75,7 +75,7 @@ fn a_reset_keeps_the_warm_up_and_the_reference_and_the_offset_comes_back_as_it_w
     before.goes_on(20_000, Control::ENGAGED);
     let grown = z_nm(before.node.last());
     assert!((grown - 50_600).abs() < 500, "63 % of 80 µm: {grown}");
-    let kept = before.node.kept();
+    let kept = before.node.retained();
 
     let mut after = Life::begins(warming_up());
     after.node.resume(Some(&kept), 0);
@@ -93,7 +93,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
     before.goes_on(60, Control::REFERENCED);
     before.goes_on(20_000, Control::ENGAGED);
     let grown = z_nm(before.node.last());
-    let kept = before.node.kept();
+    let kept = before.node.retained();
     let mut after = Life::begins(warming_up());
     after.node.resume(Some(&kept), 20);
     // The spindle stands: what is left after 20 s without power, and 8 s with.
@@ -105,7 +105,7 @@ fn over_a_power_cut_of_known_length_the_spindle_cools_and_the_reference_stays() 
                 for frame in
                     [frames::control(control, life.counter), frames::spindle(spindle, life.counter)]
                 {
-                    life.node.hear(Line::Can, &frame).expect("in order");
+                    life.node.receive(Interface::Can, &frame).expect("in order");
                 }
                 life.counter = life.counter.wrapping_add(1);
             }
@@ -154,9 +154,9 @@ fn a_clock_of_its_own_finds_missing_blocks_and_keeps_every_timeout() {
     let alive: [Code; CODES_PER_TICK] = core::array::from_fn(|n| Code(700 + u16::from(n == 1)));
     let mut node = Node::new(Some(tests_calibration()), false);
     for frame in frames::released() {
-        node.hear(Line::Can, &frame).expect("in order");
+        node.receive(Interface::Can, &frame).expect("in order");
     }
-    node.hear(Line::Can, &frames::control(Control::ENGAGED, 3)).expect("in order");
+    node.receive(Interface::Can, &frames::control(Control::ENGAGED, 3)).expect("in order");
     let block = Input { codes: Some(&alive), speed: Some(Rpm(12_000)), temperatures: None };
     for _ in 0..30 {
         for _ in 0..10 {

@@ -49,13 +49,13 @@ impl Rig<'_> {
             let now = self.node.now().0;
             if now.is_multiple_of(CONTROL_PERIOD_MS) {
                 let control = Control { engage, ..Control::REFERENCED };
-                self.hear(0, |counter| frames::control(control, counter));
+                self.receive(0, |counter| frames::control(control, counter));
                 let position = AxisPosition {
                     axis: LinearAxis::X,
                     position: Position(x_mm * Position::PER_MILLIMETRE),
                     direction: Heading::Positive,
                 };
-                self.hear(1, |counter| frames::position(position, counter));
+                self.receive(1, |counter| frames::position(position, counter));
             }
             let input = Input { temperatures: Some(&raw), ..Input::default() };
             for frame in self.node.tick(1, input) {
@@ -69,10 +69,10 @@ impl Rig<'_> {
         items
     }
 
-    fn hear(&mut self, number: usize, frame: impl Fn(u8) -> Frame) {
+    fn receive(&mut self, number: usize, frame: impl Fn(u8) -> Frame) {
         let counter = self.counters[number];
         self.counters[number] = counter.wrapping_add(1);
-        self.node.hear(Line::Can, &frame(counter)).expect("in order");
+        self.node.receive(Interface::Can, &frame(counter)).expect("in order");
     }
 }
 

@@ -14,10 +14,10 @@ use trueup_core::{
 };
 use trueup_store::{
     reference::Standing,
-    writes::{What, Write},
+    writes::{Write, WriteKind},
 };
 
-use super::{Line, Node};
+use super::{Interface, Node};
 
 /// Result of a `Zero`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,17 +78,17 @@ impl Node<'_> {
     pub fn set_standing(&mut self, standing: Standing, taken: Option<Write>) -> bool {
         let Standing { reference, is_offered, is_changed } = standing;
         if is_changed {
-            self.ask(Fault::CalibrationChanged);
+            self.require_confirmation(Fault::CalibrationChanged);
         }
         if !self.permits(&reference) {
-            self.note(Fault::Store);
+            self.set_fault(Fault::Store);
             return false;
         }
         let about = reference.elongation.0.cast_unsigned();
         self.offer.taken = taken.filter(|write| write.about == about);
         if is_offered {
             self.offer.reference = Some(reference);
-            self.ask(Fault::ReferenceOffered);
+            self.require_confirmation(Fault::ReferenceOffered);
         } else {
             self.state.set_reference(reference);
         }
@@ -113,14 +113,14 @@ impl Node<'_> {
     }
 
     /// Another reference is in force: what was offered is not any more.
-    pub(super) fn end_offer(&mut self, now: Reference, what: What, line: Option<Line>) {
-        let about = if what == What::Forgotten { 0 } else { now.elongation.0.cast_unsigned() };
+    pub(super) fn end_offer(&mut self, now: Reference, what: WriteKind, line: Option<Interface>) {
+        let about = if what == WriteKind::Forgotten { 0 } else { now.elongation.0.cast_unsigned() };
         let write = self.new_write(what, about, line);
         self.push(write);
-        let taken = (what == What::Zeroed).then_some(write);
+        let taken = (what == WriteKind::Zeroed).then_some(write);
         self.offer = Offer { taken, was_now: true, is_new: true, ..Offer::default() };
         self.questions = self.questions.without(Fault::ReferenceOffered);
-        self.bar();
+        self.inhibit();
     }
 
     /// The operator takes the reference that is offered.
@@ -139,7 +139,7 @@ impl Node<'_> {
             self.state.set_reference(Reference::default());
             self.supply.forget_basis();
             self.zero = Some(Zero::Taken(Reference::default()));
-            self.end_offer(Reference::default(), What::Forgotten, self.log.speaker());
+            self.end_offer(Reference::default(), WriteKind::Forgotten, self.log.speaker());
         }
     }
 
@@ -166,7 +166,8 @@ impl Node<'_> {
             return Err(Abort::DeviceState);
         };
         let back = Reference { elongation, axes: [x, y, z].map(Nanometres::fine) };
-        let write = self.new_write(What::Offered, elongation.0.cast_unsigned(), self.log.speaker());
+        let write =
+            self.new_write(WriteKind::Offered, elongation.0.cast_unsigned(), self.log.speaker());
         self.push(write);
         self.state.set_reference(Reference::default());
         self.offer = Offer {
@@ -176,7 +177,7 @@ impl Node<'_> {
             is_new: true,
             ..Offer::default()
         };
-        self.ask(Fault::ReferenceOffered);
+        self.require_confirmation(Fault::ReferenceOffered);
         Ok(())
     }
 
@@ -207,10 +208,10 @@ impl Node<'_> {
     /// Whether it has: then the calibration for the next start is the running one again.
     pub fn end_drop(&mut self, is_stored: bool) {
         if !is_stored {
-            self.note(Fault::Store);
+            self.set_fault(Fault::Store);
             return;
         }
-        self.log(What::Cancelled, self.new_crc, self.log.speaker());
+        self.log(WriteKind::Cancelled, self.new_crc, self.log.speaker());
         self.new_crc = 0;
         // It is stored, so nothing looks at it.
         self.slot.open(None).ok();

@@ -28,7 +28,8 @@ impl Cnc {
         let codes: [Code; CODES_PER_TICK] =
             core::array::from_fn(|n| Code(400 + u16::from(n % 2 == 1)));
         for _ in 0..times {
-            node.hear(Line::Serial, &frames::control(control, self.counter)).expect("in order");
+            node.receive(Interface::Serial, &frames::control(control, self.counter))
+                .expect("in order");
             self.counter = self.counter.wrapping_add(1);
             for _ in 0..20 {
                 node.tick(1, Input { codes: Some(&codes), ..Input::default() });
@@ -126,7 +127,7 @@ fn one_edge_of_confirm_answers_one_question_in_the_fixed_order() {
         Standing { is_offered: true, is_changed: true, ..Standing::in_force(reference(9)) };
     node.set_standing(standing, None);
     for question in [Fault::HeatUnknown, Fault::OlderCalibration, Fault::ForeignMachine] {
-        node.ask(question);
+        node.require_confirmation(question);
     }
     let mut cnc = Cnc { counter: 0 };
     for question in [
@@ -185,14 +186,14 @@ fn load(node: &mut Node<'_>) -> Write {
     calibration.limits.hold_ms = 77;
     let mut place = [0; MAX_SIZE];
     let blob = encode(&calibration, &mut place).expect("small").to_vec();
-    node.log.speaks(Line::Serial);
+    node.log.speaks(Interface::Serial);
     node.open(O::New, None).expect("allowed");
     node.append(O::New, &blob).and_then(|()| node.close(O::New)).expect("allowed");
     let mut load = node.take_load().expect("whole");
     load.check().expect("a calibration");
     node.end_load(load, Outcome::Stored);
     let writes: Vec<_> = core::iter::from_fn(|| node.take_write()).collect();
-    writes.into_iter().find(|write| write.what == What::Loaded).expect("it is logged")
+    writes.into_iter().find(|write| write.what == WriteKind::Loaded).expect("it is logged")
 }
 
 #[test]
@@ -216,7 +217,7 @@ fn a_load_is_unattended_unless_the_master_is_a_cnc_that_is_heard() {
     assert!(!load(&mut node).is_unattended);
     // Somebody else goes on in its place.
     let stranger = frames::control(SERVICE, cnc.counter.wrapping_add(100));
-    node.hear(Line::Serial, &stranger).expect_err("out of sequence");
+    node.receive(Interface::Serial, &stranger).expect_err("out of sequence");
     cnc.counter = cnc.counter.wrapping_add(101);
     cnc.say(&mut node, SERVICE, 10);
     assert!(load(&mut node).is_unattended);
@@ -225,7 +226,7 @@ fn a_load_is_unattended_unless_the_master_is_a_cnc_that_is_heard() {
 #[test]
 fn a_first_calibration_asks_nobody() {
     let mut node = board([500; 3]);
-    node.bar_example();
+    node.inhibit_example();
     let tool = Control { service: true, ..Control::default() };
     Cnc { counter: 0 }.say(&mut node, tool, 10);
     assert!(!load(&mut node).is_unattended);
@@ -249,7 +250,7 @@ fn a_load_that_waits_for_the_next_start_is_dropped_once() {
     node.end_drop(true);
     assert_eq!(node.read(O::NewCrc), Ok(ObjectValue::Number(0)));
     let write = node.take_write().map(|write| (write.what, write.about, write.origin));
-    assert_eq!(write, Some((What::Cancelled, crc, Origin::Serial)));
+    assert_eq!(write, Some((WriteKind::Cancelled, crc, Origin::Serial)));
     // A store that takes nothing leaves it, and is reported.
     load(&mut node);
     node.write(O::DropNew, DROP).expect("allowed");
@@ -267,10 +268,10 @@ fn the_age_of_a_reference_is_known_in_the_start_that_has_taken_it_or_by_two_time
     cnc.say(&mut node, Control { zero: true, ..SERVICE }, 5);
     cnc.say(&mut node, SERVICE, 500);
     assert_eq!(node.read(O::ReferenceAge), Ok(ObjectValue::Number(10)));
-    let by = u32::from(u16::from_le_bytes([What::Zeroed as u8, Origin::Serial as u8]));
+    let by = u32::from(u16::from_le_bytes([WriteKind::Zeroed as u8, Origin::Serial as u8]));
     assert_eq!(node.read(O::ReferenceOrigin), Ok(ObjectValue::Number(by)));
     // After a start: by the log alone, if the times are there.
-    let taken = core::iter::from_fn(|| node.take_write()).find(|it| it.what == What::Zeroed);
+    let taken = core::iter::from_fn(|| node.take_write()).find(|it| it.what == WriteKind::Zeroed);
     let taken = Write { utc_s: 1_790_000_000, ..taken.expect("it is logged") };
     let mut again = board([500; 3]);
     again.set_standing(Standing::in_force(node.reference()), Some(taken));

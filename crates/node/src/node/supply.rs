@@ -7,10 +7,10 @@ use trueup_core::{supply::Level, units::Code};
 impl Node<'_> {
     /// Takes a code of the converter's internal reference, one in 10 ms: readings count as if the supply were
     /// what it was, up to 3 %; beyond, what is measured by it is not believed.
-    pub fn hear_supply(&mut self, code: Code) {
-        self.supply.hear(code);
+    pub fn receive_supply(&mut self, code: Code) {
+        self.supply.receive(code);
         let is_off = self.supply.is_off();
-        self.note_if(is_off, Fault::SupplyOff);
+        self.set_fault_if(is_off, Fault::SupplyOff);
         self.state.set_supply((!is_off).then(|| self.supply.scale()));
     }
 

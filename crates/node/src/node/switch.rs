@@ -61,7 +61,7 @@ impl Node<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::node::{Line, tests_calibration};
+    use crate::node::{Interface, tests_calibration};
     use trueup_canopen::{
         dictionary::{BACK, FORGET, ObjectKind},
         sdo::{ObjectValue, Objects as _},
@@ -76,7 +76,7 @@ mod tests {
         let mut node = Node::new(Some(calibration), false);
         let service = Control { service: true, ..Control::REFERENCED };
         for counter in 0..4 {
-            node.hear(Line::Can, &frames::control(service, counter)).expect("in order");
+            node.receive(Interface::Can, &frames::control(service, counter)).expect("in order");
         }
         node
     }
@@ -139,7 +139,7 @@ mod tests {
             assert_eq!(restore(&mut node), expected);
             assert_eq!(send(&mut node).and_then(|()| node.close(ObjectKind::New)), expected);
             assert_eq!(node.take_load().is_some(), is_closed);
-            node.hear(Line::Can, &reset).expect("no request");
+            node.receive(Interface::Can, &reset).expect("no request");
             assert_eq!(node.take_restart(), is_closed);
         }
     }

@@ -43,17 +43,17 @@ fn service(node: &mut Node<'_>) {
     let counter = SERVICE.get().map_or(0, |counter| counter.wrapping_add(1));
     SERVICE.set(Some(counter));
     let control = Control { service: true, ..Control::REFERENCED };
-    node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+    node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
 }
 
-fn hear(node: &mut Node<'_>, data: [u8; 8]) {
+fn receive(node: &mut Node<'_>, data: [u8; 8]) {
     let request = Frame::new(SDO_REQUEST_ID, &data).expect("a full frame");
-    assert_eq!(node.hear(Line::Can, &request), Ok(None));
+    assert_eq!(node.receive(Interface::Can, &request), Ok(None));
 }
 
 /// Returns what is answered to a request within 200 ms.
 fn ask(node: &mut Node<'_>, data: [u8; 8]) -> [u8; 8] {
-    hear(node, data);
+    receive(node, data);
     for _ in 0..200 {
         if let Some(answer) = pass(node, 1).iter().find(|frame| frame.id() == SDO_ANSWER_ID) {
             return *answer.data();
@@ -93,7 +93,7 @@ fn send_calibration(node: &mut Node<'_>, bytes: &[u8]) {
         data[1..=part.len()].copy_from_slice(part);
         if number == last {
             data[0] |= 1;
-            return hear(node, data);
+            return receive(node, data);
         }
         assert_eq!(ask(node, data)[0] & 0xEF, 0x20);
     }
@@ -233,11 +233,11 @@ fn nothing_is_loaded_or_forgotten_while_an_offset_is_followed_or_without_a_store
     assert!(matches!(node.take_zero(), Some(Zero::Taken(_))));
     assert_eq!(write(&mut node, 0x2010, 6, FORGET + 1), Err(Abort::Value.code()));
     node.last.quality = Quality::Live;
-    hear(&mut node, request(0x21, 0x2100, 2, 700));
+    receive(&mut node, request(0x21, 0x2100, 2, 700));
     let refused = node.answer.expect("at once");
     let abort = u32::from_le_bytes(*refused.data().last_chunk().unwrap());
     assert_eq!(abort, Abort::DeviceState.code());
-    hear(&mut node, request(0x22, 0x2010, 6, FORGET));
+    receive(&mut node, request(0x22, 0x2010, 6, FORGET));
     assert_eq!(node.answer, Some(Frame::full(SDO_ANSWER_ID, request(0x80, 0x2010, 6, abort))));
 }
 
@@ -270,8 +270,9 @@ fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
     pass(&mut node, 1_000);
     assert_eq!(write(&mut node, 0x1016, 1, 0x0002_0032), Ok(()));
     assert_eq!(codes_of(&pass(&mut node, 200)), [], "it was never heard");
-    let beat =
-        |node: &mut Node<'_>| node.hear(Line::Can, &Frame::new(0x702, &[5]).unwrap()).map(drop);
+    let beat = |node: &mut Node<'_>| {
+        node.receive(Interface::Can, &Frame::new(0x702, &[5]).unwrap()).map(drop)
+    };
     for _ in 0..5 {
         assert_eq!(beat(&mut node), Ok(()));
         assert_eq!(codes_of(&pass(&mut node, 50)), []);
@@ -285,8 +286,8 @@ fn the_heartbeat_of_a_node_that_was_heard_is_missed() {
 #[test]
 fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
     let mut node = Node::new(None, true);
-    node.note(Fault::Crystal);
-    node.note(Fault::WatchdogReset);
+    node.set_fault(Fault::Crystal);
+    node.set_fault(Fault::WatchdogReset);
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x6300, 0x5001, 0x6101, 0x6102]);
     assert_eq!(read(&mut node, 0x1003, 0), Ok(4));
     assert_eq!(read(&mut node, 0x1003, 1), Ok(0x000E_6102));
@@ -299,9 +300,9 @@ fn the_faults_of_the_bridge_and_the_board_are_told_and_remembered() {
     let mut node = Node::new(Some(tests_calibration()), true);
     assert_eq!(codes_of(&pass(&mut node, 100)), [0x7002, 0x9001, 0x5000, 0x6102]);
     let control = Control::REFERENCED;
-    node.hear(Line::Can, &frames::control(control, 0)).expect("the first");
+    node.receive(Interface::Can, &frames::control(control, 0)).expect("the first");
     assert_eq!(codes_of(&pass(&mut node, 1_000)), [0x8100]);
-    node.hear(Line::Can, &frames::control(control, 1)).expect("in order");
+    node.receive(Interface::Can, &frames::control(control, 1)).expect("in order");
     assert_eq!(codes_of(&pass(&mut node, 100)), [0]);
 }
 
@@ -312,7 +313,7 @@ fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
     let mut before = 0;
     let mut answers = 0;
     for ms in 0..5_000_u32 {
-        hear(&mut node, request(0x40, 0x1000, 0, 0));
+        receive(&mut node, request(0x40, 0x1000, 0, 0));
         let said = pass(&mut node, 1);
         let services = said.len();
         answers += said.iter().filter(|frame| frame.id() == SDO_ANSWER_ID).count();
@@ -323,7 +324,7 @@ fn two_frames_beside_the_offsets_never_come_in_the_same_or_the_next_tick() {
 }
 
 fn command(node: &mut Node<'_>, data: &[u8]) {
-    assert_eq!(node.hear(Line::Can, &Frame::new(NMT_ID, data).expect("short")), Ok(None));
+    assert_eq!(node.receive(Interface::Can, &Frame::new(NMT_ID, data).expect("short")), Ok(None));
 }
 
 #[test]
@@ -458,7 +459,7 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
         (Frame::new(CONTROL_ID, &[0; 7]).unwrap(), Reason::Malformed, [1, 2, 1, 0]),
         (frame(103), Reason::Malformed, [1, 2, 1, 2]),
     ] {
-        node.hear(Line::Can, &sent).ok();
+        node.receive(Interface::Can, &sent).ok();
         let mut found = [None; 4];
         for (_, status) in statuses(&mut node, 1_100) {
             assert_eq!(status.last_refused, reason);

@@ -73,7 +73,7 @@ fn a_board_on_a_fall_back_marks_every_frame() {
 fn started() -> Node<'static> {
     let mut node = Node::new(Some(tests_calibration()), false);
     for frame in frames::released() {
-        node.hear(Line::Can, &frame).expect("in order");
+        node.receive(Interface::Can, &frame).expect("in order");
     }
     node
 }
@@ -87,7 +87,7 @@ fn alive(level: u16) -> [Code; CODES_PER_TICK] {
 fn a_zero_is_told_once_and_what_it_took_can_be_given_back_to_another_node() {
     let send = |node: &mut Node<'_>, zero, counter| {
         let control = Control { zero, ..Control::ENGAGED };
-        node.hear(Line::Can, &frames::control(control, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(control, counter)).expect("in order");
     };
     let live = |node: &mut Node<'_>, ms| {
         for _ in 0..ms {
@@ -127,7 +127,7 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
     let damaged = Frame::new(good.id(), &data).unwrap();
     for (frame, engages) in [(damaged, false), (good, true)] {
         let mut node = started();
-        assert_eq!(node.hear(Line::Can, &frame).is_ok(), engages);
+        assert_eq!(node.receive(Interface::Can, &frame).is_ok(), engages);
         assert_eq!(node.receiver().counters().crc_errors, u32::from(!engages));
         for _ in 0..450 {
             let codes = core::array::from_fn(|n| Code(if n % 2 == 0 { 700 } else { 701 }));
@@ -138,11 +138,11 @@ fn a_damaged_control_is_counted_and_engages_nothing() {
 }
 
 /// Gives a board such a history of `Control`, each 20 ms after the one before.
-fn after(controls: impl IntoIterator<Item = (Line, Control)>, node: &mut Node<'_>) {
+fn after(controls: impl IntoIterator<Item = (Interface, Control)>, node: &mut Node<'_>) {
     let mut counters = [3_u8; 2];
     for (line, control) in controls {
-        let counter = &mut counters[usize::from(line == Line::Serial)];
-        node.hear(line, &frames::control(control, *counter)).ok();
+        let counter = &mut counters[usize::from(line == Interface::Serial)];
+        node.receive(line, &frames::control(control, *counter)).ok();
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
             node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
@@ -158,7 +158,7 @@ fn state(node: &Node<'_>) -> trueup_link::status::StateBits {
 #[test]
 fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1() {
     use trueup_link::status::StateBits;
-    let (on, off) = ((Line::Can, Control::ENGAGED), (Line::Can, Control::REFERENCED));
+    let (on, off) = ((Interface::Can, Control::ENGAGED), (Interface::Can, Control::REFERENCED));
     for (heard, is_available) in [
         (vec![], false),
         (vec![on; 50], false),
@@ -180,11 +180,11 @@ fn after_a_start_nothing_is_available_until_engage_was_0_three_times_and_then_1(
 fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers_one() {
     use trueup_link::status::StateBits;
     let mut node = started();
-    node.ask(Fault::OlderCalibration);
-    node.ask(Fault::ForeignMachine);
+    node.require_confirmation(Fault::OlderCalibration);
+    node.require_confirmation(Fault::ForeignMachine);
     let confirm = Control { confirm: true, ..Control::ENGAGED };
     let plain = Control::ENGAGED;
-    after([plain; 30].map(|it| (Line::Can, it)), &mut node);
+    after([plain; 30].map(|it| (Interface::Can, it)), &mut node);
     assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
     let both = StateBits::OLDER_CALIBRATION.0 | StateBits::FOREIGN_MACHINE.0;
     assert_eq!(state(&node).0, both);
@@ -195,7 +195,7 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
         let heard = std::iter::repeat_n(plain, 3).chain(std::iter::repeat_n(confirm, held));
         // The counters go on where they were.
         node.receiver = Receiver::new();
-        after(heard.map(|it| (Line::Can, it)), &mut node);
+        after(heard.map(|it| (Interface::Can, it)), &mut node);
         assert_eq!(state(&node), left);
         assert_eq!((node.take_confirmed(), node.take_confirmed()), (Some(answered), None));
     }
@@ -205,9 +205,9 @@ fn a_question_bars_the_offset_until_confirm_has_answered_it_and_one_edge_answers
 #[test]
 fn example_constants_are_never_live() {
     let mut node = started();
-    node.bar_example();
+    node.inhibit_example();
     let confirm = |n: u32| Control { confirm: n % 10 < 5, ..Control::ENGAGED };
-    after((0..200).map(|n| (Line::Can, confirm(n))), &mut node);
+    after((0..200).map(|n| (Interface::Can, confirm(n))), &mut node);
     assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
     assert!(state(&node).contains(trueup_link::status::StateBits::EXAMPLE_CONSTANTS));
 }
@@ -216,7 +216,7 @@ fn example_constants_are_never_live() {
 fn a_damaged_board_is_never_live_and_says_so() {
     let mut node = started();
     node.bar_damaged();
-    after((0..200).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!((node.last().quality, node.last().offset), (Quality::Fault, None));
     assert!(state(&node).contains(trueup_link::status::StateBits::SELF_TEST));
 }
@@ -225,12 +225,13 @@ fn a_damaged_board_is_never_live_and_says_so() {
 fn a_master_on_another_line_is_told_and_has_no_effect() {
     let mut node = started();
     let zero = |n: u32| Control { zero: n % 14 < 7, ..Control::REFERENCED };
-    let both = (0..100).flat_map(|n| [(Line::Can, Control::ENGAGED), (Line::Serial, zero(n))]);
+    let both =
+        (0..100).flat_map(|n| [(Interface::Can, Control::ENGAGED), (Interface::Serial, zero(n))]);
     after(both, &mut node);
     assert_eq!(node.last().quality, Quality::Live);
     assert_eq!(node.take_zero(), None);
     assert!(state(&node).contains(trueup_link::status::StateBits::SECOND_MASTER));
-    after((0..200).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    after((0..200).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     assert_eq!(state(&node).0 & trueup_link::status::StateBits::SECOND_MASTER.0, 0);
 }
 
@@ -238,11 +239,12 @@ fn a_master_on_another_line_is_told_and_has_no_effect() {
 fn what_comes_damaged_over_another_line_is_noise_and_no_second_master() {
     let mut node = started();
     for counter in 3..60_u8 {
-        node.hear(Line::Can, &frames::control(Control::ENGAGED, counter)).expect("in order");
+        node.receive(Interface::Can, &frames::control(Control::ENGAGED, counter))
+            .expect("in order");
         let mut data = *frames::control(Control::REFERENCED, counter).data();
         data[3 + usize::from(counter) % 5] ^= 1 << (counter % 8);
         let noise = Frame::new(CONTROL_ID, &data).expect("eight bytes");
-        assert_eq!(node.hear(Line::Serial, &noise), Ok(None));
+        assert_eq!(node.receive(Interface::Serial, &noise), Ok(None));
         for _ in 0..20 {
             node.tick(1, Input { codes: Some(&alive(700)), ..Input::default() });
             node.service();
@@ -260,7 +262,7 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
         for n in 0..100_u8 {
             let first = Control { zero: true, ..Control::ENGAGED };
             for (control, counter) in [(first, n + 3), (Control::REFERENCED, n + 3 + lead)] {
-                node.hear(Line::Can, &frames::control(control, counter)).ok();
+                node.receive(Interface::Can, &frames::control(control, counter)).ok();
                 for _ in 0..10 {
                     node.tick(
                         1,
@@ -279,9 +281,9 @@ fn two_masters_on_one_line_take_no_zero_and_are_not_followed() {
 #[test]
 fn a_cnc_that_restarts_is_no_second_master() {
     let mut node = started();
-    after((0..50).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+    after((0..50).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
     for _ in 0..2 {
-        after((0..150).map(|_| (Line::Can, Control::ENGAGED)), &mut node);
+        after((0..150).map(|_| (Interface::Can, Control::ENGAGED)), &mut node);
         assert_eq!(state(&node).0, 0);
         assert_eq!(node.last().quality, Quality::Live);
     }
@@ -291,11 +293,11 @@ fn a_cnc_that_restarts_is_no_second_master() {
 fn a_zero_that_is_refused_is_told() {
     for control in [Control { referenced: false, ..Control::ENGAGED }, Control::default()] {
         let mut node = started();
-        after([(Line::Can, control); 20], &mut node);
+        after([(Interface::Can, control); 20], &mut node);
         node.receiver = Receiver::new();
         for counter in 0..3 {
             let zero = Control { zero: true, ..control };
-            node.hear(Line::Can, &frames::control(zero, counter)).expect("whole");
+            node.receive(Interface::Can, &frames::control(zero, counter)).expect("whole");
         }
         assert_eq!(node.take_zero(), Some(Zero::Unchanged));
         let said = (0..100).filter_map(|_| {
@@ -321,11 +323,11 @@ fn a_supply_that_drifts_changes_no_offset_and_one_that_is_broken_is_told_and_not
             let mean = code(700).0;
             let codes = core::array::from_fn(|n| Code(mean + u16::from(n % 2 == 0)));
             if ms % 20 == 0 {
-                node.hear(Line::Can, &frames::control(Control::ENGAGED, counter)).ok();
+                node.receive(Interface::Can, &frames::control(Control::ENGAGED, counter)).ok();
                 counter = counter.wrapping_add(1);
             }
             if ms % 10 == 0 {
-                node.hear_supply(code(1_500));
+                node.receive_supply(code(1_500));
             }
             node.tick(1, Input { codes: Some(&codes), ..Input::default() });
             node.service();

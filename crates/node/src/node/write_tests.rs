@@ -33,7 +33,7 @@ fn of(machine: &'static str, board: [u32; 3]) -> u32 {
 /// `Control` so often, 20 ms apart.
 fn controls(node: &mut Node<'_>, control: Control, count: usize, counter: &mut u8) {
     for _ in 0..count {
-        node.hear(Line::Serial, &frames::control(control, *counter)).expect("in order");
+        node.receive(Interface::Serial, &frames::control(control, *counter)).expect("in order");
         *counter = counter.wrapping_add(1);
         for _ in 0..20 {
             node.tick(1, Input::default());
@@ -63,11 +63,11 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
         ("", NO, gantry, false, false),
     ] {
         let mut node = named(machine, board);
-        node.belong(before, CHIP);
+        node.check_identity(before, CHIP);
         node.tick(1, Input::default());
         assert_eq!(asks(&node), is_asked, "{machine} {board:?} {before:?}");
         let write = node.take_write();
-        let expected = is_named.then(|| (What::Named, of(machine, board), Origin::Board));
+        let expected = is_named.then(|| (WriteKind::Named, of(machine, board), Origin::Board));
         assert_eq!(write.map(|it| (it.what, it.about, it.origin)), expected);
     }
 }
@@ -75,7 +75,7 @@ fn a_board_takes_the_first_machine_and_asks_before_it_runs_another_or_another_bo
 #[test]
 fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then_on() {
     let mut node = named("mill", [0; 3]);
-    node.belong(Some(of("gantry", [0; 3])), CHIP);
+    node.check_identity(Some(of("gantry", [0; 3])), CHIP);
     let mut counter = 0;
     controls(&mut node, Control::REFERENCED, 5, &mut counter);
     controls(&mut node, Control::ENGAGED, 30, &mut counter);
@@ -87,8 +87,8 @@ fn another_machine_gives_no_offset_until_confirm_and_is_the_boards_own_from_then
     assert_eq!(
         written,
         [
-            Some((What::Confirmed, question, Origin::Serial)),
-            Some((What::Named, of("mill", [0; 3]), Origin::Serial)),
+            Some((WriteKind::Confirmed, question, Origin::Serial)),
+            Some((WriteKind::Named, of("mill", [0; 3]), Origin::Serial)),
             None
         ]
     );
@@ -129,7 +129,7 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
     assert_eq!(node.read(O::Utc), Ok(ObjectValue::Number(0)));
     node.write(O::Utc, 1_790_000_000).expect("allowed");
     controls(&mut node, service, 100, &mut counter);
-    node.log.speaks(Line::Can);
+    node.log.speaks(Interface::Can);
     node.open(O::New, None).and_then(|()| node.append(O::New, &blob)).expect("allowed");
     node.close(O::New).expect("allowed");
     let load = node.take_load().expect("whole");
@@ -138,7 +138,7 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
         Standing::in_force(Reference { elongation: Nanometres(9), ..Reference::default() }),
         None,
     );
-    node.log.speaks(Line::Serial);
+    node.log.speaks(Interface::Serial);
     // Again and again it is nothing new, and fills no flash.
     for _ in 0..100 {
         node.write(O::Forget, FORGET).expect("allowed");
@@ -150,7 +150,7 @@ fn every_write_is_told_with_what_when_and_over_which_line_and_a_second_load_hide
         stored.iter().map(|it| (it.sequence, it.what, it.about, it.origin)).collect();
     assert_eq!(
         seen,
-        [(5, What::Loaded, crc, Origin::Can), (6, What::Forgotten, 0, Origin::Serial)]
+        [(5, WriteKind::Loaded, crc, Origin::Can), (6, WriteKind::Forgotten, 0, Origin::Serial)]
     );
     for write in &stored {
         assert_eq!((write.calibration, write.utc_s), (crc, 1_790_000_002));
@@ -204,7 +204,7 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     let mut node = named("gantry", [0; 3]);
     let mut counter = 0;
     controls(&mut node, Control { service: true, ..Control::REFERENCED }, 5, &mut counter);
-    node.log.speaks(Line::Serial);
+    node.log.speaks(Interface::Serial);
     let offered = [
         (O::ReferenceElongation, -1_000_i32),
         (O::Reference(0), 2_000),
@@ -239,7 +239,7 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
     assert!(node.questions.has(Fault::ReferenceOffered));
     assert_eq!(node.read(O::Offered(1)), Ok(ObjectValue::Number(500_000)));
     let write = node.take_write().map(|it| (it.what, it.about, it.origin));
-    assert_eq!(write, Some((What::Offered, (-1_000_i32).cast_unsigned(), Origin::Serial)));
+    assert_eq!(write, Some((WriteKind::Offered, (-1_000_i32).cast_unsigned(), Origin::Serial)));
     assert_eq!(node.write(O::Forget, BACK + 1), Err(Abort::Value));
     assert_eq!(node.write(O::Forget, BACK), Err(Abort::DeviceState), "once");
     assert_eq!(node.write(O::Reference(3), 1), Err(Abort::NoSubindex));
@@ -248,14 +248,14 @@ fn the_reference_of_the_board_before_is_taken_when_all_of_it_is_there_and_is_sto
 #[test]
 fn a_write_that_is_not_stored_is_told_and_so_is_the_store() {
     let mut node = named("gantry", [0; 3]);
-    node.belong(None, CHIP);
+    node.check_identity(None, CHIP);
     let write = node.take_write().expect("named");
     node.end_write(&write, None);
     assert_eq!(told(&node), [write]);
     assert!(node.faults(node.last()).has(Fault::Store));
     // A board that takes none of them loses none either.
     for about in 0..10 {
-        node.log(What::Zeroed, about, Some(Line::Can));
+        node.log(WriteKind::Zeroed, about, Some(Interface::Can));
     }
     let waiting = core::iter::from_fn(|| node.take_write()).count();
     assert_eq!(waiting + told(&node).len(), 11);
@@ -270,7 +270,7 @@ fn writes_from_before_the_start_are_told_before_those_since() {
         about: 9,
         at_ms: 5,
         utc_s: 0,
-        what: What::Confirmed,
+        what: WriteKind::Confirmed,
         origin: Origin::Can,
         is_unattended: false,
     };

@@ -6,10 +6,10 @@ use trueup_canopen::emergency::Fault;
 use trueup_core::{calibration::Names, units::Millis};
 use trueup_store::{
     calibration,
-    writes::{self, Origin, What, Write, Writes},
+    writes::{self, Origin, Write, WriteKind, Writes},
 };
 
-use super::{Line, Node};
+use super::{Interface, Node};
 
 /// Writes that the board has not stored yet: it does so every 10 ms, and each needs a frame or more.
 const WAITING: usize = 4;
@@ -20,8 +20,8 @@ pub(super) struct Log {
     last: Writes,
     waiting: Deque<Write, WAITING>,
     /// Where the last SDO request came from, and that which has ended a load.
-    speaker: Option<Line>,
-    loader: Option<Line>,
+    speaker: Option<Interface>,
+    loader: Option<Interface>,
     /// No CNC was received at the end of that load.
     is_unattended: bool,
     /// The time of day that was reported, and when.
@@ -29,11 +29,11 @@ pub(super) struct Log {
 }
 
 impl Log {
-    pub fn speaks(&mut self, line: Line) {
+    pub fn speaks(&mut self, line: Interface) {
         self.speaker = Some(line);
     }
 
-    pub const fn speaker(&self) -> Option<Line> {
+    pub const fn speaker(&self) -> Option<Interface> {
         self.speaker
     }
 
@@ -60,7 +60,7 @@ impl Node<'_> {
     /// Logs a write as it is `stored`, with its number; `None`: it is not.
     pub fn end_write(&mut self, write: &Write, stored: Option<Write>) {
         if stored.is_none() {
-            self.note(Fault::Store);
+            self.set_fault(Fault::Store);
         }
         self.log.last.push(&stored.unwrap_or(*write));
     }
@@ -69,7 +69,7 @@ impl Node<'_> {
     /// [`writes::identity`] has them, and with the number of its chip. A board without names takes the
     /// first; for any other machine, or a calibration of another board, the operator is asked. To be
     /// called at the start, for a calibration that is not an example's.
-    pub fn belong(&mut self, named: Option<u32>, chip: [u32; 3]) {
+    pub fn check_identity(&mut self, named: Option<u32>, chip: [u32; 3]) {
         let names = self.names();
         let identity = writes::identity(&names);
         let is_of_another_board = names.board != [0; 3] && names.board != chip;
@@ -77,14 +77,14 @@ impl Node<'_> {
             _ if identity == 0 => {}
             Some(named) if named == identity => {}
             None if !is_of_another_board => self.name(None),
-            _ => self.ask(Fault::ForeignMachine),
+            _ => self.require_confirmation(Fault::ForeignMachine),
         }
     }
 
     /// The board belongs to the machine of its calibration from now on.
-    pub(super) fn name(&mut self, line: Option<Line>) {
+    pub(super) fn name(&mut self, line: Option<Interface>) {
         let identity = writes::identity(&self.names());
-        self.log(What::Named, identity, line);
+        self.log(WriteKind::Named, identity, line);
     }
 
     /// Returns the machine and the board that the running calibration is for.
@@ -107,22 +107,22 @@ impl Node<'_> {
     pub(super) fn log_load(&mut self, crc: u32) {
         let running = self.running_crc();
         let replaces = running != 0 && running != crc && !self.is_example();
-        let write = self.new_write(What::Loaded, crc, self.log.loader);
+        let write = self.new_write(WriteKind::Loaded, crc, self.log.loader);
         self.push(Write { is_unattended: replaces && self.log.is_unattended, ..write });
     }
 
     /// Notes a write over a line, or of the board itself.
-    pub(super) fn log(&mut self, what: What, about: u32, line: Option<Line>) {
+    pub(super) fn log(&mut self, what: WriteKind, about: u32, line: Option<Interface>) {
         self.push(self.new_write(what, about, line));
     }
 
     /// Returns a write of this moment.
-    pub(super) fn new_write(&self, what: What, about: u32, line: Option<Line>) -> Write {
+    pub(super) fn new_write(&self, what: WriteKind, about: u32, line: Option<Interface>) -> Write {
         let origin = match line {
             None => Origin::Board,
-            Some(Line::Can) => Origin::Can,
-            Some(Line::Serial) => Origin::Serial,
-            Some(Line::Modbus) => Origin::Modbus,
+            Some(Interface::Can) => Origin::Can,
+            Some(Interface::Serial) => Origin::Serial,
+            Some(Interface::Modbus) => Origin::Modbus,
         };
         let (calibration, at_ms, utc_s) = (self.running_crc(), self.now.0, self.utc_s());
         let (sequence, is_unattended) = (0, false);

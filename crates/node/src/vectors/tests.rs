@@ -124,13 +124,13 @@ fn an_axis_walks_the_way_that_it_says_and_jumps_now_and_then() {
     for _ in 0..ALL_FAULTS {
         run.prepare();
         for (number, axis) in LinearAxis::ALL.into_iter().enumerate() {
-            let heard = run.sent.iter().find_map(|it| frames::decode_position(axis, it).ok());
-            let Some(heard) = heard else { continue };
-            if let Some(before) = before[number].replace(heard.position.0) {
-                let way = heard.position.0 - before;
+            let received = run.sent.iter().find_map(|it| frames::decode_position(axis, it).ok());
+            let Some(received) = received else { continue };
+            if let Some(before) = before[number].replace(received.position.0) {
+                let way = received.position.0 - before;
                 let is_walk = way.abs() <= 50_000;
                 (walks, jumps) = (walks + u32::from(is_walk), jumps + u32::from(!is_walk));
-                let heads = heard.direction as i32;
+                let heads = received.direction as i32;
                 // At the end of its reach it is held.
                 assert!(!is_walk || way == 0 || way.signum() == heads, "{way}, but {heads}");
             }
@@ -172,7 +172,7 @@ fn the_checksum_of_a_run_is_of_every_frame_that_the_node_sends_with_faults_among
     for number in 0..300 {
         assert_eq!(checksum(tests_calibration(), number), run.checksum(), "{number}");
         run.prepare();
-        run.hear();
+        run.receive();
         let frames = run.tick();
         run.take(&frames);
     }

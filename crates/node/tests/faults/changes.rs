@@ -48,12 +48,12 @@ impl Cnc {
 fn resets(count: u32, seed: u64) {
     let (mut twin, mut rig) = (Rig::engaged(seed), Rig::engaged(seed));
     let (mut cnc, mut kept) =
-        (Cnc { z_nm: rig.applied_nm()[1], ..Cnc::default() }, rig.node.kept());
+        (Cnc { z_nm: rig.applied_nm()[1], ..Cnc::default() }, rig.node.retained());
     let (mut compared, mut worst_nm, mut done) = (0_u32, 0, 0);
     let mut until = 100;
     while done < count {
         if rig.ms.is_multiple_of(1_000) {
-            kept = rig.node.kept();
+            kept = rig.node.retained();
         }
         until -= 1;
         if until == 0 {

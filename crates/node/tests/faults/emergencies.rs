@@ -10,7 +10,7 @@ use trueup_canopen::{
 };
 use trueup_core::{cnc::Control, dimensions::CHANNELS, learned::Change};
 use trueup_link::{frame::Frame, frames};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 
 /// The most between the moment at which a master can read a fault and its emergency.
 const WITHIN_MS: u32 = 100;
@@ -28,9 +28,9 @@ fn bits(rig: &Rig) -> [u32; 3] {
 }
 
 /// `Control` from a master of its own line, as often as given.
-fn controls(rig: &mut Rig, line: Line, control: Control, from: u8, count: u8) {
+fn controls(rig: &mut Rig, line: Interface, control: Control, from: u8, count: u8) {
     for n in 0..count {
-        rig.node.hear(line, &frames::control(control, from + n)).ok();
+        rig.node.receive(line, &frames::control(control, from + n)).ok();
     }
 }
 
@@ -59,40 +59,40 @@ fn provoke(fault: Fault, rig: &mut Rig) {
         Fault::OlderCalibration
         | Fault::ForeignMachine
         | Fault::ReferenceOffered
-        | Fault::CalibrationChanged => rig.node.ask(fault),
-        Fault::ExampleConstants => rig.node.bar_example(),
+        | Fault::CalibrationChanged => rig.node.require_confirmation(fault),
+        Fault::ExampleConstants => rig.node.inhibit_example(),
         Fault::SecondMaster => {
-            controls(rig, Line::Serial, Control::REFERENCED, 0, 1);
+            controls(rig, Interface::Serial, Control::REFERENCED, 0, 1);
         }
         Fault::HeartbeatLost => {
             breaks(Part::Control, Kind::Off);
             let service = Control { service: true, ..Control::REFERENCED };
             rig.engage = false;
             rig.run(6_000);
-            controls(rig, Line::Can, service, 230, 4);
+            controls(rig, Interface::Can, service, 230, 4);
             rig.run(10);
             rig.node.write(ObjectKind::ConsumerHeartbeat, 0x0002_0064).expect("allowed");
             let beat = Frame::new(0x702, &[5]).expect("a heartbeat");
-            rig.node.hear(Line::Can, &beat).expect("not for the receiver");
+            rig.node.receive(Interface::Can, &beat).expect("not for the receiver");
         }
         Fault::ZeroRefused => {
             let control = Control { referenced: false, ..Control::REFERENCED };
             breaks(Part::Control, Kind::Off);
             rig.run(6_000);
-            controls(rig, Line::Can, control, 200, 5);
+            controls(rig, Interface::Can, control, 200, 5);
             rig.run(20);
-            controls(rig, Line::Can, Control { zero: true, ..control }, 205, 5);
+            controls(rig, Interface::Can, Control { zero: true, ..control }, 205, 5);
         }
         Fault::LearnedRefused => {
             // Of no cap, and of another calibration.
             let learned = Change { part: 1, amount: 1, calibration: 0 };
             breaks(Part::Control, Kind::Off);
             rig.run(6_000);
-            controls(rig, Line::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
+            controls(rig, Interface::Can, Control { learned, ..Control::REFERENCED }, 200, 5);
         }
         other => match channel_of(other) {
             Some((_, kind)) => rig.fault = Some((Part::SpindleThermometer, kind, since)),
-            None => rig.node.note(other),
+            None => rig.node.set_fault(other),
         },
     }
 }

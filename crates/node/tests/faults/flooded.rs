@@ -7,7 +7,7 @@ use trueup_link::{
     layout::SDO_REQUEST_ID,
     slcan::{LineSplitter, decode_line, encode_line},
 };
-use trueup_node::node::Line;
+use trueup_node::node::Interface;
 
 use crate::rig::Rig;
 
@@ -42,8 +42,8 @@ fn drawn(rig: &mut Rig, flood: Flood) -> Option<Frame> {
 }
 
 /// In how many of these milliseconds the offset is that of a bridge without the flood, and live.
-fn arrives(flood: Flood, over: Line, ms: u32) -> u32 {
-    let cnc = if over == Line::Can { Line::Serial } else { Line::Can };
+fn arrives(flood: Flood, over: Interface, ms: u32) -> u32 {
+    let cnc = if over == Interface::Can { Interface::Serial } else { Interface::Can };
     let (mut rig, mut twin) = (Rig::engaged_over(cnc, 9), Rig::engaged_over(cnc, 9));
     // The flood has a generator of its own, so that both bridges have the same codes.
     let mut random = Rig::new(10);
@@ -51,13 +51,13 @@ fn arrives(flood: Flood, over: Line, ms: u32) -> u32 {
     let mut right = 0;
     for _ in 0..ms {
         match over {
-            Line::Can => {
+            Interface::Can => {
                 let frames = (0..FRAMES_PER_MS).filter_map(|_| drawn(&mut random, flood));
                 for frame in frames {
-                    rig.node.hear(over, &frame).ok();
+                    rig.node.receive(over, &frame).ok();
                 }
             }
-            Line::Serial => {
+            Interface::Serial => {
                 let mut bytes = Vec::new();
                 while bytes.len() < BYTES_PER_MS {
                     match drawn(&mut random, flood) {
@@ -69,13 +69,13 @@ fn arrives(flood: Flood, over: Line, ms: u32) -> u32 {
                     if let Some(Ok(line)) = lines.push(byte)
                         && let Ok(frame) = decode_line(&line)
                     {
-                        rig.node.hear(over, &frame).ok();
+                        rig.node.receive(over, &frame).ok();
                     }
                 }
             }
-            Line::Modbus => {
+            Interface::Modbus => {
                 let block = std::array::from_fn(|_| random.bits() as u16);
-                rig.node.hear_registers(&block).ok();
+                rig.node.receive_registers(&block).ok();
             }
         }
         rig.live();
@@ -92,9 +92,9 @@ fn a_flooded_wire_takes_no_offset_from_the_other_one() {
     let ms = 3_000;
     for flood in FLOODS {
         // Bytes that are no frame do not come over CAN.
-        let lines: &[Line] = match flood {
-            Flood::Bytes => &[Line::Serial, Line::Modbus],
-            _ => &[Line::Serial, Line::Can],
+        let lines: &[Interface] = match flood {
+            Flood::Bytes => &[Interface::Serial, Interface::Modbus],
+            _ => &[Interface::Serial, Interface::Can],
         };
         for &over in lines {
             assert!(arrives(flood, over, ms) * 100 >= ms * 99, "{flood:?} over {over:?}");

@@ -19,7 +19,7 @@ use trueup_core::{
     units::{Code, Nanometres, Position, Rpm, Temperature},
 };
 use trueup_link::{frame::Frame, frames, layout::EMERGENCY_ID};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 
 use crate::spindle_model::{KnownSpindle, law};
 
@@ -197,7 +197,7 @@ pub struct Rig {
     /// Channels of the two thermometers.
     pub channels: [usize; 2],
     /// Where the CNC is.
-    pub line: Line,
+    pub line: Interface,
     seed: u64,
     counters: [u8; 3],
     repeated: Option<Frame>,
@@ -224,7 +224,7 @@ impl Rig {
             told: Vec::new(),
             last: Output::default(),
             channels: [SPINDLE_CHANNEL, AXIS_CHANNEL],
-            line: Line::Can,
+            line: Interface::Can,
             seed: seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1,
             counters: [0; 3],
             repeated: None,
@@ -355,9 +355,9 @@ impl Rig {
         }
     }
 
-    fn hear(&mut self, frame: &Frame) {
+    fn receive(&mut self, frame: &Frame) {
         // What is refused is the business of the receiver.
-        self.node.hear(self.line, frame).ok();
+        self.node.receive(self.line, frame).ok();
     }
 
     fn next(&mut self, number: usize) -> u8 {
@@ -380,7 +380,7 @@ impl Rig {
                 _ => frame,
             };
             self.repeated = Some(frame);
-            self.hear(&frame);
+            self.receive(&frame);
         }
         if self.sends(Part::Speed, 20) {
             let true_speed = if self.runs { self.speed } else { 0 };
@@ -391,7 +391,7 @@ impl Rig {
                 _ => true_speed,
             };
             let counter = self.next(1);
-            self.hear(&frames::spindle(Spindle { speed: Rpm(speed), load_n: 0 }, counter));
+            self.receive(&frames::spindle(Spindle { speed: Rpm(speed), load_n: 0 }, counter));
         }
         // ±100 mm about 500 mm, once in 10 s.
         let t_s = f64::from(self.ms) / 1_000.0;
@@ -406,9 +406,9 @@ impl Rig {
             };
             let position = Position((place_mm * 100_000.0) as i32);
             let counter = self.next(2);
-            let heard =
+            let received =
                 AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
-            self.hear(&frames::position(heard, counter));
+            self.receive(&frames::position(received, counter));
         }
     }
 
@@ -457,11 +457,11 @@ impl Rig {
 
     /// As a CNC: three times not engaged, then engaged, until the offset has arrived.
     pub fn engaged(seed: u64) -> Self {
-        Self::engaged_over(Line::Can, seed)
+        Self::engaged_over(Interface::Can, seed)
     }
 
     /// Returns the same, with the CNC on this line.
-    pub fn engaged_over(line: Line, seed: u64) -> Self {
+    pub fn engaged_over(line: Interface, seed: u64) -> Self {
         Self { line, ..Self::new(seed) }.into_engaged()
     }
 

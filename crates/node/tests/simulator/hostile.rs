@@ -15,7 +15,7 @@ use trueup_core::{
 };
 use trueup_link::frames;
 use trueup_node::{
-    node::{Line, Node},
+    node::{Interface, Node},
     vectors::Random,
 };
 use trueup_store::calibration::{
@@ -87,15 +87,15 @@ fn lives_within_the_caps(random: &mut Random, blob: &[u8], number: u64) -> bool 
             let calibration = named(identity(blob));
             let learned = Change { part: any as u8 % 8, amount: (any >> 16) as i16, calibration };
             let control = Control { engage: counter >= 4, learned, ..Control::REFERENCED };
-            let _ = node.hear(Line::Can, &frames::control(control, counter));
+            let _ = node.receive(Interface::Can, &frames::control(control, counter));
             let spindle = Spindle { speed: Rpm(any as u16), load_n: any as i16 };
-            let _ = node.hear(Line::Can, &frames::spindle(spindle, counter));
+            let _ = node.receive(Interface::Can, &frames::spindle(spindle, counter));
             let angles = [any / 16, any / 32].map(MicroDegrees);
-            let _ = node.hear(Line::Can, &frames::rotary(Rotary { angles }, counter));
+            let _ = node.receive(Interface::Can, &frames::rotary(Rotary { angles }, counter));
             for axis in LinearAxis::ALL {
                 let position = Position(random.next() as i32 / 2);
                 let at = AxisPosition { axis, position, direction: Heading::Positive };
-                let _ = node.hear(Line::Can, &frames::position(at, counter));
+                let _ = node.receive(Interface::Can, &frames::position(at, counter));
             }
         }
         let codes: [Code; CODES_PER_TICK] =

@@ -100,7 +100,7 @@ impl GrowingSpindle {
 pub struct Cnc {
     pub ears: OffsetReceiver,
     pub applied_nm: i32,
-    pub heard: Option<Output>,
+    pub received: Option<Output>,
     pub silent_ms: u32,
     pub wants: bool,
     pub raised: bool,
@@ -113,7 +113,7 @@ impl Cnc {
         Self {
             ears: OffsetReceiver::new(),
             applied_nm: 0,
-            heard: None,
+            received: None,
             silent_ms: u32::MAX,
             wants: true,
             raised: false,
@@ -122,9 +122,9 @@ impl Cnc {
         }
     }
 
-    pub fn hear(&mut self, frame: &Frame) {
+    pub fn receive(&mut self, frame: &Frame) {
         if let Ok(Some(output)) = self.ears.accept(frame) {
-            (self.heard, self.silent_ms) = (Some(output), 0);
+            (self.received, self.silent_ms) = (Some(output), 0);
         }
     }
 
@@ -132,7 +132,7 @@ impl Cnc {
     pub fn live(&mut self) {
         self.silent_ms = self.silent_ms.saturating_add(1);
         self.since_ms = self.since_ms.saturating_add(1);
-        let available = self.heard.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
+        let available = self.received.filter(|_| self.silent_ms <= 100).and_then(|it| it.offset);
         let goal = match available {
             Some(offset) => Some(offset[2].0),
             None if self.silent_ms <= 2_000 && self.silent_ms > 100 => None,

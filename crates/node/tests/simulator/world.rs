@@ -14,7 +14,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, frames, receiver::Refused};
 use trueup_node::{
-    node::{Line, Node},
+    node::{Interface, Node},
     vectors::Random,
 };
 use trueup_store::{
@@ -273,23 +273,23 @@ impl World {
         if let Some(arrived) = self.carry(control) {
             control = arrived;
             let before = self.node.reference();
-            let heard = self.node.hear(Line::Can, &control);
+            let received = self.node.receive(Interface::Can, &control);
             let said = frames::decode_control(&control).expect("its own length");
-            self.note_control(&heard, said.engage);
+            self.note_control(&received, said.engage);
             self.note_zero(before);
-            self.node.hear(Line::Can, &spindle).ok();
+            self.node.receive(Interface::Can, &spindle).ok();
         }
         let stranger = match self.fault {
-            Fault::SecondMaster => Line::Can,
-            Fault::OtherLine => Line::Serial,
+            Fault::SecondMaster => Interface::Can,
+            Fault::OtherLine => Interface::Serial,
             _ => return,
         };
         let engage = self.chance(2);
         let control = Control { engage, zero: true, ..Control::REFERENCED };
         let counter = self.cnc.counters[0].wrapping_add(self.random.below(4) as u8);
         let before = self.node.reference();
-        let heard = self.node.hear(stranger, &frames::control(control, counter));
-        self.note_control(&heard, engage);
+        let received = self.node.receive(stranger, &frames::control(control, counter));
+        self.note_control(&received, engage);
         // Where the CNC asks for it in the same moment, it is the CNC's, whoever's frame completes it.
         assert!(
             zero || self.node.reference() == before,
@@ -301,8 +301,8 @@ impl World {
 
     /// Follows the engage sequence of any sender: a stranger on the same line cannot be distinguished from the
     /// CNC by one frame.
-    fn note_control(&mut self, heard: &Result<Option<Command>, Refused>, engage: bool) {
-        match heard {
+    fn note_control(&mut self, received: &Result<Option<Command>, Refused>, engage: bool) {
+        match received {
             Ok(None) => return,
             Ok(Some(_)) if !engage => self.released += 1,
             Ok(Some(_)) => {
@@ -311,7 +311,7 @@ impl World {
             }
             Err(_) => self.released = 0,
         }
-        if heard.is_ok() {
+        if received.is_ok() {
             self.control_ms = 0;
         }
     }
@@ -350,7 +350,7 @@ impl World {
         if let Some(frame) = self.axis.speak(self.seen.ticks)
             && self.fault != Fault::PositionsStop
             && let Some(frame) = self.carry(frame)
-            && self.node.hear(Line::Can, &frame).is_ok_and(|heard| heard.is_some())
+            && self.node.receive(Interface::Can, &frame).is_ok_and(|received| received.is_some())
         {
             self.axis.was_heard();
         }
@@ -391,7 +391,7 @@ impl World {
             self.one(behind_ms, Input { temperatures: Some(&raw), ..Input::default() });
         }
         if self.seen.ticks.is_multiple_of(1_000) {
-            retained::save(&mut self.ram, &self.node.kept(), None);
+            retained::save(&mut self.ram, &self.node.retained(), None);
             self.has_kept = true;
         }
         let was = self.cnc.applied_nm;
@@ -413,15 +413,15 @@ impl World {
                 self.seen.checksum =
                     (self.seen.checksum ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
             }
-            self.cnc.hear(frame);
+            self.cnc.receive(frame);
         }
         let output = *self.node.last();
         // What the CNC has of it is the same, rounded to a bit of 10 nm.
-        if let (Some(heard), Some(offset)) =
-            (self.cnc.heard.and_then(|it| it.offset), output.offset)
+        if let (Some(received), Some(offset)) =
+            (self.cnc.received.and_then(|it| it.offset), output.offset)
         {
-            let off = (heard[2].0 - offset[2].0).abs();
-            assert!(off <= WIRE_NM / 2, "the wire says {}: {}", heard[2].0, self.place());
+            let off = (received[2].0 - offset[2].0).abs();
+            assert!(off <= WIRE_NM / 2, "the wire says {}: {}", received[2].0, self.place());
         }
         self.seen.qualities[output.quality as usize] += 1;
         self.judge(elapsed_ms, &output);

@@ -13,7 +13,7 @@ use std::{cell::RefCell, error::Error, fmt, rc::Rc};
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
 
-use super::triangle::{Dependent, Solution, Triangle};
+use super::givens_qr::{Dependent, GivensQr, Solution};
 
 /// A model of a column of measured values.
 pub trait Model {
@@ -238,13 +238,13 @@ impl<'a, M: Model + ?Sized> Folded<'a, M> {
 
     /// Returns the triangle of derivatives and residuals (measured minus model) at `parameters`; `None`
     /// where the model has no finite value.
-    fn triangle(&self, parameters: &[f64]) -> Option<Triangle> {
+    fn triangle(&self, parameters: &[f64]) -> Option<GivensQr> {
         let mut space = self.space.borrow_mut();
         let (values, columns) = &mut *space;
         if !self.model.values(parameters, values) || !self.model.derivatives(parameters, columns) {
             return None;
         }
-        let mut triangle = Triangle::new(parameters.len());
+        let mut triangle = GivensQr::new(parameters.len());
         let mut row_of = vec![0.0; parameters.len()];
         for (row, (&measured, &value)) in self.measured.iter().zip(&*values).enumerate() {
             if measured.is_nan() {

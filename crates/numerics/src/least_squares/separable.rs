@@ -5,8 +5,8 @@
 //! whole is then solved by [`fit`], q and c together, which also gives the intervals.
 
 use super::{
+    givens_qr::{GivensQr, Solution},
     nonlinear::{Fit, Model, Options, SolveError, fit},
-    triangle::{Solution, Triangle},
 };
 
 /// A model with linear parameters.
@@ -38,7 +38,7 @@ pub fn project(
     if !model.basis(q, columns) {
         return None;
     }
-    let mut triangle = Triangle::new(columns.len());
+    let mut triangle = GivensQr::new(columns.len());
     let mut row_of = vec![0.0; columns.len()];
     for (row, &measured) in measured.iter().enumerate().filter(|(_, value)| !value.is_nan()) {
         row_of.iter_mut().zip(&*columns).for_each(|(at, column)| *at = column[row]);

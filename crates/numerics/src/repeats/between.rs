@@ -10,10 +10,10 @@ use super::{
 };
 
 /// A gain is judged on at least this many blocks (`docs/reference.md`, Diagnosis): here inner places.
-const FEWEST_INNER: usize = 6;
+const MIN_INNER: usize = 6;
 /// The line must explain this much of the squares of what it foresees: the same R² that a law must have of
 /// what goes with its inputs.
-const LEAST_R_SQUARED: f64 = 0.9;
+const MIN_R_SQUARED: f64 = 0.9;
 
 /// Misses of neighbours share places. Of this many the sum of squares scatters like that of this share of
 /// independent ones (Satterthwaite; even steps: covariances of 1.5, −1 and 0.25 give 1.5²/(1.5² + 2·1² +
@@ -43,13 +43,13 @@ impl Between {
     /// Returns whether there are enough inner places to judge by.
     #[must_use]
     pub fn can_tell(&self) -> bool {
-        self.inner >= FEWEST_INNER
+        self.inner >= MIN_INNER
     }
 
     /// Returns whether use between the places is doubted: the line could have foreseen them, and did not.
     #[must_use]
     pub fn is_doubted(&self) -> bool {
-        self.can_tell() && self.is_beyond_scatter && self.r_squared() < LEAST_R_SQUARED
+        self.can_tell() && self.is_beyond_scatter && self.r_squared() < MIN_R_SQUARED
     }
 }
 

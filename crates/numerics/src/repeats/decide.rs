@@ -29,10 +29,10 @@ use super::{
 pub const SIGNIFICANCE: f64 = 0.01;
 
 /// More cycles than this are left out in blocks of neighbours.
-const MOST_BLOCKS: usize = 20;
+const MAX_BLOCKS: usize = 20;
 
 /// Two places always lie on a line with a constant: a table begins with three.
-pub const FEWEST_PLACES: usize = 3;
+pub const MIN_PLACES: usize = 3;
 
 /// Squares below this share of the readings' own are rounding.
 const ROUNDING: f64 = 1e-18;
@@ -132,7 +132,7 @@ pub fn decide(readings: &[Reading], aside: &[bool], places: usize, laws: &[Law])
     let seen = seen.into_iter().filter(|seen| *seen).count();
     let mut decision =
         Decision { taken: Err(Refusal::TooFew), trials: Vec::new(), blocks, by_side, scatter };
-    if seen < FEWEST_PLACES || blocks < 2 || scatter.is_none() {
+    if seen < MIN_PLACES || blocks < 2 || scatter.is_none() {
         return decision;
     }
     decision.trials = laws
@@ -177,7 +177,7 @@ fn blocks(used: &[(usize, Reading)]) -> (Vec<usize>, usize, bool) {
         let both = [0, 1].iter().all(|side| of.contains(side));
         return (of, 1 + usize::from(both), true);
     }
-    let count = cycles.len().min(MOST_BLOCKS);
+    let count = cycles.len().min(MAX_BLOCKS);
     let of =
         |it: &Reading| cycles.partition_point(|&cycle| cycle < it.cycle) * count / cycles.len();
     (used.iter().map(|(_, it)| of(it)).collect(), count, false)

@@ -18,7 +18,7 @@ use super::reading::Reading;
 use crate::robust::{GROSS, cutoff, median};
 
 /// Two repeats do not say which of them is wrong.
-const FEWEST_REPEATS: usize = 3;
+const MIN_REPEATS: usize = 3;
 /// The median magnitude of the difference of two readings of standard deviation 1: 0.6745·√2.
 const PAIR: f64 = 0.953_872_6;
 /// Readings in whole steps of an instrument scatter by at least this share of a step, wherever the
@@ -38,7 +38,7 @@ pub fn gross(readings: &[Reading]) -> Vec<bool> {
     let groups = by_stop(readings);
     let Some(scale) = scale(readings, &groups) else { return none };
     let mut deviation = vec![f64::NAN; readings.len()];
-    for group in groups.iter().filter(|group| group.len() >= FEWEST_REPEATS) {
+    for group in groups.iter().filter(|group| group.len() >= MIN_REPEATS) {
         let mut values: Vec<f64> = group.iter().map(|&row| readings[row].value).collect();
         let middle = median(&mut values);
         group.iter().for_each(|&row| deviation[row] = readings[row].value - middle);
@@ -69,10 +69,10 @@ fn by_stop(readings: &[Reading]) -> Vec<Vec<usize>> {
 /// Returns the scatter of one reading among its repeats; none where nothing scatters or nothing repeats.
 fn scale(readings: &[Reading], groups: &[Vec<usize>]) -> Option<f64> {
     /// Pairs of the first this many repeats of a place are enough of them.
-    const MOST: usize = 30;
+    const MAX: usize = 30;
     let mut pairs = Vec::new();
     for group in groups {
-        let some = &group[..group.len().min(MOST)];
+        let some = &group[..group.len().min(MAX)];
         for (n, &a) in some.iter().enumerate() {
             let others = some[n + 1..].iter();
             pairs.extend(others.map(|&b| (readings[a].value - readings[b].value).abs()));

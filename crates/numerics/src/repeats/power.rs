@@ -9,7 +9,7 @@ use crate::noncentral_f;
 /// The chance with which the error is to be found.
 const POWER: f64 = 0.95;
 /// No more cycles are considered.
-const MOST_CYCLES: usize = 100;
+const MAX_CYCLES: usize = 100;
 
 /// Returns the fewest cycles, at least 2, over `places` places after which an error of the root mean square `size`
 /// is found with 95 %, where one reading scatters by `scatter` (in the same unit). None: not within 100.
@@ -21,7 +21,7 @@ const MOST_CYCLES: usize = 100;
 /// ```
 #[must_use]
 pub fn cycles_for(size: f64, scatter: f64, places: usize) -> Option<usize> {
-    (2..=MOST_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
+    (2..=MAX_CYCLES).find(|&cycles| power(size, scatter, places, cycles) >= POWER)
 }
 
 /// Returns the chance that this many cycles show the error, 0…1.

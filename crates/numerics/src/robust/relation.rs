@@ -1,7 +1,7 @@
 //! Rows that are off a linear relation which the others follow.
 
 use super::statistics::{Outlier, cutoff, finest, median, scale};
-use crate::{least_squares::Triangle, random::Generator};
+use crate::{least_squares::GivensQr, random::Generator};
 
 /// Small samples that are tried.
 const SAMPLES: usize = 500;
@@ -42,7 +42,7 @@ pub fn in_relation(x: &[&[f64]], y: &[f64]) -> Vec<Outlier> {
             // is off.
             spread = f64::MIN_POSITIVE;
         }
-        let mut triangle = Triangle::new(columns);
+        let mut triangle = GivensQr::new(columns);
         for &row in &rows {
             let share = at(row, &coefficients) / (BIWEIGHT * spread);
             let weight = (1.0 - share * share).max(0.0);
@@ -77,7 +77,7 @@ fn best_sample(x: &[&[f64]], y: &[f64], rows: &[usize]) -> Option<Vec<f64>> {
     let mut magnitudes = Vec::with_capacity(JUDGES);
     let mut row_of = vec![0.0; columns];
     for _ in 0..SAMPLES {
-        let mut triangle = Triangle::new(columns);
+        let mut triangle = GivensQr::new(columns);
         for _ in 0..columns {
             let row = rows[random.below(rows.len())];
             row_of.iter_mut().zip(x).for_each(|(at, column)| *at = column[row]);

@@ -10,7 +10,7 @@ use super::statistics::NORMAL;
 /// Neighbours on each side.
 const HALF: usize = 3;
 /// Fewer rows have no scatter to speak of.
-const FEWEST: usize = 12;
+const MIN: usize = 12;
 /// A larger share of the rows is not a few readings.
 pub(super) const LARGEST_SHARE: f64 = 0.08;
 
@@ -20,7 +20,7 @@ pub(super) const LARGEST_SHARE: f64 = 0.08;
 pub fn in_residual(residual: &[f64], series: &[impl PartialEq], resolution: f64) -> Vec<bool> {
     let count = residual.len();
     let none = vec![false; count];
-    if count < FEWEST {
+    if count < MIN {
         return none;
     }
     let mut around = Vec::with_capacity(2 * HALF + 1);

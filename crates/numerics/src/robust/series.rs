@@ -9,15 +9,15 @@ const NEIGHBOURS: usize = 7;
 /// A burst of more rows is not set aside: it has become the level.
 const LONGEST_BURST: usize = 5;
 /// Fewer rows than this have no neighbours to speak of.
-pub const FEWEST_IN_SERIES: usize = 2 * NEIGHBOURS + 1;
+pub const MIN_IN_SERIES: usize = 2 * NEIGHBOURS + 1;
 
 /// Rows of a time series that leave it and come back. `time` does not run back; rows where either
-/// is NaN take no part. Nothing is found in fewer than [`FEWEST_IN_SERIES`] rows.
+/// is NaN take no part. Nothing is found in fewer than [`MIN_IN_SERIES`] rows.
 #[must_use]
 pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
     let present = |row: &usize| !time[*row].is_nan() && !y[*row].is_nan();
     let rows: Vec<usize> = (0..y.len().min(time.len())).filter(present).collect();
-    if rows.len() < FEWEST_IN_SERIES {
+    if rows.len() < MIN_IN_SERIES {
         return Vec::new();
     }
     let floor = resolution(rows.iter().map(|&row| y[row]));
@@ -27,7 +27,7 @@ pub fn in_series(time: &[f64], y: &[f64]) -> Vec<Outlier> {
     for _ in 0..LONGEST_BURST {
         let known: BTreeSet<usize> = found.iter().map(|outlier| outlier.row).collect();
         let clean: Vec<usize> = rows.iter().copied().filter(|row| !known.contains(row)).collect();
-        if clean.len() < FEWEST_IN_SERIES {
+        if clean.len() < MIN_IN_SERIES {
             break;
         }
         let local: Vec<Local> = (0..clean.len()).map(|at| Local::at(&clean, at, time, y)).collect();

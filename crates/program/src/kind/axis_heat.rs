@@ -20,7 +20,7 @@ const HEAT_S: f64 = 1200.0;
 /// Rounds of heat: two hours.
 const ROUNDS: u32 = 6;
 /// The most strokes of a round: FANUC repeats no more often.
-const MOST_STROKES: f64 = 9999.0;
+const MAX_STROKES: f64 = 9999.0;
 
 pub(crate) fn plans(machine: &Machine, options: &Options) -> Result<Plans, Refused> {
     let (travels, mut notes) = travels(machine, options)?;
@@ -38,7 +38,7 @@ fn plan(machine: &Machine, travel: &Travel, options: &Options) -> Result<Plan, R
     let heat_feed = options.heat_feed_mm_per_min;
     let strokes =
         (options.heat_s.unwrap_or(HEAT_S) * heat_feed / 60.0 / (2.0 * (high - low))).ceil();
-    if strokes > MOST_STROKES {
+    if strokes > MAX_STROKES {
         return Err(Refused(format!(
             "{strokes} strokes from {low} to {high} mm in a round: give a longer range or a lower \
              --heat-feed"

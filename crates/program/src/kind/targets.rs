@@ -39,7 +39,7 @@ pub struct Targets {
 }
 
 /// The most strokes in a row: FANUC repeats no more often.
-const MOST_STROKES: f64 = 9999.0;
+const MAX_STROKES: f64 = 9999.0;
 
 /// The shortest over-travel that is left next to the margin, in mm: it still takes up the play of a worn axis.
 const MIN_OVER_MM: f64 = 0.1;
@@ -105,7 +105,7 @@ pub fn targets(
     if run.heat_min > 0.0 {
         let feed = run.heat_feed_mm_per_min;
         let strokes = run.heat_min * feed / (2.0 * way.length_mm());
-        let strokes = strokes.ceil().clamp(1.0, MOST_STROKES);
+        let strokes = strokes.ceil().clamp(1.0, MAX_STROKES);
         // A number of strokes is whole and in range.
         let stroke = vec![go(&way, far, feed), go(&way, start, feed)];
         steps.push(Step::Note(format!("run warm for {:.0} minutes", run.heat_min)));

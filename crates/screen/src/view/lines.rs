@@ -254,12 +254,12 @@ fn link(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
 }
 
 /// Returns what is wrong, each with what to do, wrapped between words.
-pub fn troubles(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
-    let troubles = state.troubles();
+pub fn alarms(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+    let troubles = state.alarms();
     if troubles.is_empty() {
-        let heard = state.output().is_some();
-        let text = if heard { "No faults" } else { "Nothing is heard of faults" };
-        return vec![Line::styled(text, if heard { theme.good() } else { theme.bad() })];
+        let received = state.output().is_some();
+        let text = if received { "No faults" } else { "Nothing is heard of faults" };
+        return vec![Line::styled(text, if received { theme.good() } else { theme.bad() })];
     }
     let wrapped = troubles.into_iter().flat_map(|(word, remedy)| {
         let words = remedy.split(' ').map(str::to_owned);

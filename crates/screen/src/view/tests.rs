@@ -10,7 +10,7 @@ use trueup_core::{
 };
 use trueup_link::frames;
 use trueup_machine::{MachineFile, compile, file::Quantity};
-use trueup_node::node::{Line as NodeLine, Node};
+use trueup_node::node::{Interface as NodeLine, Node};
 
 use super::*;
 use crate::{
@@ -44,7 +44,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> State {
         if now % 20 == 0 {
             let control = Control { engage: engage && now >= 60, ..Control::REFERENCED };
             let control = frames::control(control, (now / 20) as u8);
-            node.hear(NodeLine::Can, &control).expect("in order");
+            node.receive(NodeLine::Can, &control).expect("in order");
         }
         let input = Input {
             codes: Some(&codes),
@@ -52,7 +52,7 @@ fn watched(ms: u32, code: u16, engage: bool) -> State {
             temperatures: Some(&temperatures),
         };
         for frame in node.tick(1, input).into_iter().chain(node.service()) {
-            state.hear(&frame, f64::from(now) / 1_000.0);
+            state.receive(&frame, f64::from(now) / 1_000.0);
         }
         if now % 200 == 199 {
             state.sample(f64::from(now) / 1_000.0);

@@ -19,11 +19,11 @@ use crate::{
 };
 
 /// The least height of the drawn range: below it there is only noise, in µm or °C.
-const LEAST_SPAN: f64 = 0.5;
+const MIN_SPAN: f64 = 0.5;
 /// The least height with a row for the ticks of the time.
-const LEAST_TICKS: u16 = 5;
+const MIN_TICKS: u16 = 5;
 /// The least length of the drawn time, in s.
-const LEAST_S: f64 = 10.0;
+const MIN_S: f64 = 10.0;
 
 /// Draws it.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
@@ -41,9 +41,9 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
         values().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), it| (a.min(it), b.max(it)));
     let (least, most) =
         if points.is_empty() && marks.is_empty() { (0.0, 0.0) } else { (least, most) };
-    let spare = ((LEAST_SPAN - (most - least)) / 2.0).max(0.0);
+    let spare = ((MIN_SPAN - (most - least)) / 2.0).max(0.0);
     let bounds = [least - spare, most + spare];
-    let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(LEAST_S, WINDOW_S);
+    let begin = points.first().map_or(0.0, |(at, _)| -*at).clamp(MIN_S, WINDOW_S);
     let (name, unit) = name(state);
     let mut title = format!("{name}, {unit}, the last {}", length(begin));
     if state.series == DIFFERENCE
@@ -68,7 +68,7 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, state: &State, theme: Theme) {
     let ticks = [-begin, -begin / 2.0, 0.0].map(|at_s| Line::raw(tick(at_s)));
     // A row for the ticks, if the curve keeps some.
     let x = Axis::default().bounds([-begin, 0.0]);
-    let x = if area.height > LEAST_TICKS { x.labels(ticks) } else { x };
+    let x = if area.height > MIN_TICKS { x.labels(ticks) } else { x };
     let chart = Chart::new(vec![data, readings])
         .block(Block::new().borders(Borders::TOP).title(title).style(Style::new()))
         .x_axis(x)

@@ -21,7 +21,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_REQUEST_ID, slcan::Port};
 use trueup_machine::{MachineFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::calibration::decode;
 
 const MACHINE: &str = include_str!("../../../../data/paper_spindle.toml");
@@ -79,7 +79,7 @@ fn live(listener: &TcpListener, switches: &Switches) {
                     if frame.id() != SDO_REQUEST_ID || !is_question {
                         switches.written.lock().expect("whole").push(frame);
                     }
-                    node.hear(Line::Serial, &frame).ok();
+                    node.receive(Interface::Serial, &frame).ok();
                 }
             }
             Some(Err(error)) if error.kind() != ErrorKind::WouldBlock => client = None,
@@ -88,10 +88,11 @@ fn live(listener: &TcpListener, switches: &Switches) {
         if ms % 20 == 0 {
             let wants = control >= 3 && !switches.is_disengaged.load(Ordering::Relaxed);
             let said = Control { engage: wants, ..Control::REFERENCED };
-            node.hear(Line::Can, &frames::control(said, control as u8)).expect("in order");
+            node.receive(Interface::Can, &frames::control(said, control as u8)).expect("in order");
             for axis in LinearAxis::ALL {
                 let at = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-                node.hear(Line::Can, &frames::position(at, control as u8)).expect("in order");
+                node.receive(Interface::Can, &frames::position(at, control as u8))
+                    .expect("in order");
             }
             control += 1;
         }

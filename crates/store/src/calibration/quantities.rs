@@ -70,10 +70,10 @@ impl<'b> Field<'b> for MaxOffset {
     }
 }
 
-/// A number of a limit, at most `MOST`.
-pub(super) struct Limit<const MOST: u32>(pub u32);
+/// A number of a limit, at most `MAX`.
+pub(super) struct Limit<const MAX: u32>(pub u32);
 
-impl<'b, const MOST: u32> Field<'b> for Limit<MOST> {
+impl<'b, const MAX: u32> Field<'b> for Limit<MAX> {
     const SIZE: usize = 4;
 
     fn put(&self, to: &mut Writer<'_>) {
@@ -83,8 +83,8 @@ impl<'b, const MOST: u32> Field<'b> for Limit<MOST> {
     fn get(from: &mut Reader<'b>) -> Self {
         let offset = from.at;
         let found = u32::get(from);
-        if found > MOST {
-            from.refuse(BlobError::Limit { offset, found, most: MOST });
+        if found > MAX {
+            from.refuse(BlobError::Limit { offset, found, most: MAX });
         }
         Self(found)
     }

@@ -13,7 +13,7 @@ fn start(log: &References<Flash>, calibration: u32) -> (References<Flash>, Stand
     (log, found.standing.map(|it| it.1).unwrap_or_default())
 }
 
-fn write(log: &mut References<Flash>, what: What, about: u32, is_unattended: bool) {
+fn write(log: &mut References<Flash>, what: WriteKind, about: u32, is_unattended: bool) {
     let (calibration, origin) = (log.calibration, Origin::Can);
     let (sequence, at_ms, utc_s) = (0, 5, 0);
     let write = Write { sequence, calibration, about, at_ms, utc_s, what, origin, is_unattended };
@@ -26,7 +26,7 @@ fn load(
     calibration: u32,
     is_unattended: bool,
 ) -> (References<Flash>, Standing) {
-    write(&mut log, What::Loaded, calibration, is_unattended);
+    write(&mut log, WriteKind::Loaded, calibration, is_unattended);
     start(&log, calibration)
 }
 
@@ -42,7 +42,7 @@ fn a_reference_that_was_in_force_stays_so_through_every_start() {
         let standing;
         (log, standing) = start(&log, A);
         assert_eq!(standing, held(1));
-        write(&mut log, What::Confirmed, 7, false);
+        write(&mut log, WriteKind::Confirmed, 7, false);
     }
 }
 
@@ -59,7 +59,7 @@ fn an_old_zero_does_not_come_back_with_its_calibration_it_is_offered() {
     let (mut log, standing) = start(&log, A);
     assert_eq!(standing, offered(held(1)));
     for number in 0..3 * SLOTS {
-        write(&mut log, What::Confirmed, number, false);
+        write(&mut log, WriteKind::Confirmed, number, false);
         let standing;
         (log, standing) = start(&log, A);
         assert_eq!(standing, offered(held(1)), "{number}");
@@ -84,14 +84,14 @@ fn a_load_that_was_dropped_changes_nothing() {
     for calibration in [A, B] {
         let mut log = open(&Flash::erased(), A).0;
         log.append(held(1)).unwrap();
-        write(&mut log, What::Loaded, calibration, true);
-        write(&mut log, What::Cancelled, calibration, false);
+        write(&mut log, WriteKind::Loaded, calibration, true);
+        write(&mut log, WriteKind::Cancelled, calibration, false);
         assert_eq!(start(&log, A).1, held(1));
     }
     // One that never came to run, because it was damaged.
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
-    write(&mut log, What::Loaded, B, true);
+    write(&mut log, WriteKind::Loaded, B, true);
     assert_eq!(start(&log, A).1, held(1));
 }
 
@@ -106,7 +106,7 @@ fn a_change_that_no_cnc_has_seen_is_asked_for_until_it_is_confirmed() {
         let asked = Standing { is_changed: true, ..Standing::default() };
         assert_eq!(standing, asked);
         for number in 0..3 * SLOTS {
-            write(&mut log, What::Confirmed, number, false);
+            write(&mut log, WriteKind::Confirmed, number, false);
             let standing;
             (log, standing) = start(&log, B);
             assert_eq!(standing, asked, "{number}");
@@ -143,10 +143,10 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
             }
         }
         if log.log.has_room() {
-            write(&mut log, What::Loaded, A, true);
+            write(&mut log, WriteKind::Loaded, A, true);
         } else {
             log.make_room().unwrap();
-            write(&mut log, What::Loaded, A, true);
+            write(&mut log, WriteKind::Loaded, A, true);
         }
         let expected = open(&log.log.flash, A).1.standing.map(|it| it.1).expect("a change");
         assert!(expected.is_changed);
@@ -167,14 +167,14 @@ fn a_power_cut_at_any_byte_of_the_first_start_after_a_load_changes_no_answer() {
 fn the_write_that_has_taken_a_reference_is_told_and_moves_with_it() {
     let mut log = open(&Flash::erased(), A).0;
     log.append(held(1)).unwrap();
-    write(&mut log, What::Zeroed, 77, false);
+    write(&mut log, WriteKind::Zeroed, 77, false);
     let mut log = load(log, B, false).0;
-    write(&mut log, What::Zeroed, 88, false);
+    write(&mut log, WriteKind::Zeroed, 88, false);
     let mut log = load(log, A, false).0;
     for number in 0..3 * SLOTS {
-        write(&mut log, What::Confirmed, number, false);
+        write(&mut log, WriteKind::Confirmed, number, false);
         log = start(&log, A).0;
         let taken = open(&log.log.flash, A).1.taken;
-        assert_eq!(taken.map(|it| (it.what, it.about)), Some((What::Zeroed, 77)), "{number}");
+        assert_eq!(taken.map(|it| (it.what, it.about)), Some((WriteKind::Zeroed, 77)), "{number}");
     }
 }

@@ -4,7 +4,7 @@ use super::{tests::*, *};
 use crate::writes::Origin;
 use std::vec::Vec;
 
-fn write(what: What, about: u32) -> Write {
+fn write(what: WriteKind, about: u32) -> Write {
     Write {
         sequence: 0,
         calibration: OURS,
@@ -17,7 +17,7 @@ fn write(what: What, about: u32) -> Write {
     }
 }
 
-fn told(log: &References<Flash>) -> Vec<(u32, What, u32)> {
+fn told(log: &References<Flash>) -> Vec<(u32, WriteKind, u32)> {
     let all = log.writes().bytes().as_chunks().0.iter().filter_map(Write::from_bytes);
     all.map(|write| (write.sequence, write.what, write.about)).collect()
 }
@@ -25,13 +25,14 @@ fn told(log: &References<Flash>) -> Vec<(u32, What, u32)> {
 #[test]
 fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    assert_eq!(log.append_write(&write(What::Loaded, 1)).map(|it| it.sequence), Ok(1));
+    assert_eq!(log.append_write(&write(WriteKind::Loaded, 1)).map(|it| it.sequence), Ok(1));
     log.append(held(1)).unwrap();
-    log.append_write(&write(What::Zeroed, 2)).unwrap();
-    log.append_write(&write(What::Confirmed, 3)).unwrap();
+    log.append_write(&write(WriteKind::Zeroed, 2)).unwrap();
+    log.append_write(&write(WriteKind::Confirmed, 3)).unwrap();
     let (log, found) = open(&log.log.flash, OURS);
     assert_eq!((found.standing, found.damaged), (Some((2, held(1))), 0));
-    let expected = [(1, What::Loaded, 1), (3, What::Zeroed, 2), (4, What::Confirmed, 3)];
+    let expected =
+        [(1, WriteKind::Loaded, 1), (3, WriteKind::Zeroed, 2), (4, WriteKind::Confirmed, 3)];
     assert_eq!(told(&log), expected);
 }
 
@@ -39,11 +40,11 @@ fn writes_are_told_after_a_power_cut_in_their_order_and_references_stay() {
 fn a_power_cut_at_any_byte_of_a_write_loses_that_write_at_most() {
     let (mut log, _) = open(&Flash::erased(), OURS);
     log.append(held(1)).unwrap();
-    log.append_write(&write(What::Named, 77)).unwrap();
+    log.append_write(&write(WriteKind::Named, 77)).unwrap();
     for fuel in 0..=RECORD_SIZE {
         let mut cut = open(&log.log.flash, OURS).0;
         cut.log.flash.fuel = fuel;
-        let stored = cut.append_write(&write(What::Named, 88)).is_ok();
+        let stored = cut.append_write(&write(WriteKind::Named, 88)).is_ok();
         assert_eq!(stored, fuel == RECORD_SIZE);
         let (_, found) = open(&cut.log.flash, OURS);
         assert_eq!(found.standing, Some((1, held(1))));
@@ -54,10 +55,10 @@ fn a_power_cut_at_any_byte_of_a_write_loses_that_write_at_most() {
 #[test]
 fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
     let (mut log, _) = open(&Flash::erased(), OURS);
-    log.append_write(&write(What::Named, 77)).unwrap();
+    log.append_write(&write(WriteKind::Named, 77)).unwrap();
     log.append(held(1)).unwrap();
     for number in 0..8 * SLOTS {
-        log.append_write(&write(What::Confirmed, number)).unwrap();
+        log.append_write(&write(WriteKind::Confirmed, number)).unwrap();
         let before = open(&log.log.flash, OURS).1;
         for fuel in 0..=2 * RECORD_SIZE + HALF as usize {
             let mut cut = open(&log.log.flash, OURS).0;
@@ -77,7 +78,7 @@ fn names_and_reference_outlast_erases_with_power_cuts_at_any_byte() {
 fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
     let mut log = open(&Flash::erased(), OURS).0;
     for number in 1..=5 * SLOTS {
-        let entry = write(What::Confirmed, number);
+        let entry = write(WriteKind::Confirmed, number);
         if log.append_write(&entry) == Err(StoreError::Full) {
             log.make_room().unwrap();
             log.append_write(&entry).unwrap();
@@ -94,11 +95,11 @@ fn writes_are_told_the_oldest_first_whichever_half_holds_them() {
 #[test]
 fn a_name_that_a_start_has_found_alone_in_its_half_is_there_twice_before_the_other_half_goes() {
     let mut log = open(&Flash::erased(), OURS).0;
-    log.append_write(&write(What::Named, 77)).unwrap();
+    log.append_write(&write(WriteKind::Named, 77)).unwrap();
     for number in 1..SLOTS {
-        log.append_write(&write(What::Confirmed, number)).unwrap();
+        log.append_write(&write(WriteKind::Confirmed, number)).unwrap();
     }
-    log.append_write(&write(What::Named, 88)).unwrap();
+    log.append_write(&write(WriteKind::Named, 88)).unwrap();
     log = open(&log.log.flash, OURS).0;
     assert_eq!(log.make_room(), Ok(true));
     let mut lost = log.log.flash.clone();
@@ -109,9 +110,9 @@ fn a_name_that_a_start_has_found_alone_in_its_half_is_there_twice_before_the_oth
 #[test]
 fn a_name_outlasts_the_erase_of_its_half_without_a_start_between() {
     let mut log = open(&Flash::erased(), OURS).0;
-    log.append_write(&write(What::Named, 77)).unwrap();
+    log.append_write(&write(WriteKind::Named, 77)).unwrap();
     for number in 0..5 * SLOTS {
-        log.append_write(&write(What::Confirmed, number)).unwrap();
+        log.append_write(&write(WriteKind::Confirmed, number)).unwrap();
         log.make_room().unwrap();
         assert_eq!(open(&log.log.flash, OURS).1.named, Some(77), "after {number}");
     }

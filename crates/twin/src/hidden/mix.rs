@@ -1,7 +1,7 @@
 //! From a base and its hidden effects to a challenge: sizes, noise, rounding, and the files.
 
 use super::{
-    Challenge, Effect, Truth,
+    Effect, TestCase, Truth,
     axis::AxisBench,
     axis_effects,
     cause::{Base, Expected, Hidden},
@@ -19,7 +19,7 @@ pub(super) fn challenge(
     ratio: f64,
     seed: u64,
     mut stream: Stream,
-) -> Challenge {
+) -> TestCase {
     let (quantity, machine, runs, shapes) = match base {
         Base::Sensor | Base::Temperature | Base::Warmup => {
             let wanted = match base {
@@ -84,7 +84,7 @@ pub(super) fn challenge(
     let files = measured(quantity, runs, effect_um, &mut truth, seed, &mut stream);
     let mut runs = files;
     let holdout = runs.pop().expect("every base has a hold-out run");
-    Challenge { runs, holdout, machine, quantity, truth }
+    TestCase { runs, holdout, machine, quantity, truth }
 }
 
 /// Returns the number of training rows, and what share of the effect's RMS each imitator leaves.

@@ -52,7 +52,7 @@ use crate::noise::Stream;
 
 /// Runs, what the user believes, and the truth.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Challenge {
+pub struct TestCase {
     /// The training runs, each a run file (CSV) of its own; at least one.
     pub runs: Vec<String>,
     /// A run that is not to be trained on (CSV).
@@ -140,7 +140,7 @@ impl Truth {
 /// Returns a challenge with `cause` in it, `ratio` times as large as the noise (RMS). Where `cause` is only
 /// noise, `ratio` counts for nothing. Above 0; 0.5 is hard, 5 is plain.
 #[must_use]
-pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
+pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> TestCase {
     let mut stream = Stream::new(seed, cause.name());
     let base = stream.pick(cause.bases());
     mix::challenge(base, &[cause], ratio, seed, stream)
@@ -149,7 +149,7 @@ pub fn draw(cause: Hidden, ratio: f64, seed: u64) -> Challenge {
 /// Returns a challenge with two causes in it, each `ratio` times as large as the noise. `None` if there is
 /// no machine on which both can be distinguished.
 #[must_use]
-pub fn draw_pair(first: Hidden, second: Hidden, ratio: f64, seed: u64) -> Option<Challenge> {
+pub fn draw_pair(first: Hidden, second: Hidden, ratio: f64, seed: u64) -> Option<TestCase> {
     let shared: Vec<Base> =
         first.bases().iter().copied().filter(|base| second.bases().contains(base)).collect();
     if shared.is_empty() || first == second {

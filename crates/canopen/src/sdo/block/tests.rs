@@ -31,7 +31,7 @@ fn write(
             let is_lost = lost.contains(&sent);
             sent += 1;
             if !is_lost {
-                answer = server.hear(&frame, fake).or(answer);
+                answer = server.receive(&frame, fake).or(answer);
             }
         }
         // A server that is at work answers later.
@@ -40,7 +40,7 @@ fn write(
             server.proceed(fake)
         });
         let Some(answer) = answer.or_else(|| server.end(Ok(()))) else { break };
-        match client.hear(&answer) {
+        match client.receive(&answer) {
             Ok(Progress::Done) => return (Ok(()), sent),
             Ok(Progress::Ask(frame)) => {
                 out.push(frame);
@@ -92,11 +92,11 @@ fn a_lost_segment_is_sent_again_and_a_lost_answer_ends_the_transfer() {
 fn a_block_is_answered_once_there_is_room_for_the_next() {
     let (mut server, mut fake) = (Server::default(), Fake::default());
     let (mut client, first) = BlockDownload::start(NEW, &[7; 500]);
-    let started = server.hear(&first, &mut fake).expect("an answer");
-    let Ok(Progress::Ask(segment)) = client.hear(&started) else { panic!("{started:?}") };
+    let started = server.receive(&first, &mut fake).expect("an answer");
+    let Ok(Progress::Ask(segment)) = client.receive(&started) else { panic!("{started:?}") };
     fake.is_full = true;
     let block = std::iter::once(segment).chain(std::iter::from_fn(|| client.more()));
-    let answers: Vec<_> = block.filter_map(|frame| server.hear(&frame, &mut fake)).collect();
+    let answers: Vec<_> = block.filter_map(|frame| server.receive(&frame, &mut fake)).collect();
     assert_eq!((answers.len(), fake.domain.len()), (0, 217));
     assert_eq!(server.proceed(&fake), None);
     fake.is_full = false;
@@ -108,7 +108,7 @@ fn a_block_is_answered_once_there_is_room_for_the_next() {
 #[test]
 fn a_wrong_crc_length_object_or_number_is_refused() {
     let hear = |server: &mut Server, fake: &mut Fake, data| {
-        server.hear(&Frame::full(SDO_REQUEST_ID, data), fake).map(|it| *it.data())
+        server.receive(&Frame::full(SDO_REQUEST_ID, data), fake).map(|it| *it.data())
     };
     let aborted = |at, abort: Abort| Some(initiated(ABORT, at, abort.code()));
     for (size, end, abort) in [
@@ -149,14 +149,14 @@ fn a_new_master_is_heard_where_an_old_one_has_left_a_block() {
     for request in starts {
         let (mut server, mut fake) = (Server::default(), Fake::default());
         let (_, first) = BlockDownload::start(NEW, &[7; 500]);
-        server.hear(&first, &mut fake).expect("an answer");
+        server.receive(&first, &mut fake).expect("an answer");
         for sequence in 1..BLOCK {
             let segment = Frame::full(SDO_REQUEST_ID, [sequence, 7, 7, 7, 7, 7, 7, 7]);
-            assert_eq!(server.hear(&segment, &mut fake), None);
+            assert_eq!(server.receive(&segment, &mut fake), None);
         }
         let [mut alone, mut other] = [Server::default(), server];
-        let expected = alone.hear(&Frame::full(SDO_REQUEST_ID, request), &mut Fake::default());
-        let answer = other.hear(&Frame::full(SDO_REQUEST_ID, request), &mut fake);
+        let expected = alone.receive(&Frame::full(SDO_REQUEST_ID, request), &mut Fake::default());
+        let answer = other.receive(&Frame::full(SDO_REQUEST_ID, request), &mut fake);
         assert_eq!(answer, expected, "{request:02X?}");
     }
 }

@@ -49,12 +49,12 @@ impl<'d> BlockDownload<'d> {
         self.from.saturating_add(SEGMENT.saturating_mul(self.sequence.into()))
     }
 
-    /// Takes a frame from the bus, as [`super::Upload::hear`]. With [`Progress::Ask`] the first frame of what is to be sent
+    /// Takes a frame from the bus, as [`super::Upload::receive`]. With [`Progress::Ask`] the first frame of what is to be sent
     /// comes, and [`Self::more`] has the others.
     ///
     /// # Errors
     /// [`ClientError`]: the transfer is over.
-    pub fn hear(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
+    pub fn receive(&mut self, frame: &Frame) -> Result<Progress, ClientError> {
         let Some(answer) = answer(frame) else { return Ok(Progress::Unchanged) };
         let &[command, taken, wanted, _, first, ..] = answer;
         let unexpected = Err(ClientError::Unexpected { at: self.at, answer: *answer });
@@ -76,7 +76,7 @@ impl<'d> BlockDownload<'d> {
         }
     }
 
-    /// Returns the next frame of a block that [`Self::hear`] has begun; `None`: it is whole, and is to be answered.
+    /// Returns the next frame of a block that [`Self::receive`] has begun; `None`: it is whole, and is to be answered.
     pub fn more(&mut self) -> Option<Frame> {
         let is_whole = self.sequence >= self.size || self.next() >= self.data.len();
         (self.state == State::Sending && !is_whole).then(|| self.segment())

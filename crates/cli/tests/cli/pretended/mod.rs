@@ -18,7 +18,7 @@ use trueup_core::{
 };
 use trueup_link::{frame::Frame, frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_machine::{Compiled, Machine, MachineFile, compile};
-use trueup_node::node::{Line, Node};
+use trueup_node::node::{Interface, Node};
 use trueup_store::{
     calibration::{MAX_SIZE, decode, identity},
     load::Outcome,
@@ -86,8 +86,8 @@ fn listening(
 ) -> (String, Arc<Mutex<ReceivedBytes>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound above"));
-    let heard = Arc::new(Mutex::new(ReceivedBytes::default()));
-    let told = heard.clone();
+    let received = Arc::new(Mutex::new(ReceivedBytes::default()));
+    let told = received.clone();
     thread::spawn(move || {
         let (stream, _) = listener.accept().expect("the tool connects");
         stream.set_nonblocking(true).expect("a plain socket");
@@ -100,7 +100,7 @@ fn listening(
             live(stream, fault, is_engaged, &told);
         }
     });
-    (address, heard)
+    (address, received)
 }
 
 pub fn paper_machine() -> Machine {
@@ -124,18 +124,18 @@ fn speak_as_cnc(node: &mut Node<'_>, control: u32, engage: bool) {
     // As after every start: three times not engaged.
     let engaged =
         Control { engage: engage && control >= 3, service: !engage, ..Control::REFERENCED };
-    node.hear(Line::Can, &frames::control(engaged, control as u8)).expect("in order");
+    node.receive(Interface::Can, &frames::control(engaged, control as u8)).expect("in order");
     // Its axes stand.
     for axis in LinearAxis::ALL {
         let stands = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-        node.hear(Line::Can, &frames::position(stands, control as u8)).expect("in order");
+        node.receive(Interface::Can, &frames::position(stands, control as u8)).expect("in order");
     }
 }
 
 /// Returns true if the tool has opened its channel a second time.
-fn is_opened_again(heard: &Mutex<ReceivedBytes>) -> bool {
-    let heard = heard.lock().expect("no holder panics");
-    heard.bytes.windows(3).filter(|bytes| bytes == b"\rO\r").count() > 1
+fn is_opened_again(received: &Mutex<ReceivedBytes>) -> bool {
+    let received = received.lock().expect("no holder panics");
+    received.bytes.windows(3).filter(|bytes| bytes == b"\rO\r").count() > 1
 }
 
 /// Takes a calibration that has arrived.
@@ -165,7 +165,7 @@ pub fn live(
     mut stream: impl Read + Write,
     fault: Fault,
     is_engaged: impl Fn() -> bool,
-    heard: &Mutex<ReceivedBytes>,
+    received: &Mutex<ReceivedBytes>,
 ) {
     let compiled = paper();
     let (mut node, mut port) = started(Box::leak(compiled.blob().into()));
@@ -196,11 +196,11 @@ pub fn live(
         match stream.read(&mut bytes) {
             Ok(0) => return,
             Ok(length) => {
-                let mut heard = heard.lock().expect("no holder panics");
-                heard.bytes.extend(&bytes[..length]);
+                let mut received = received.lock().expect("no holder panics");
+                received.bytes.extend(&bytes[..length]);
                 let frames = bytes[..length].iter().filter_map(|&byte| port.receive(byte));
                 for frame in frames.collect::<Vec<_>>() {
-                    heard.frames += 1;
+                    received.frames += 1;
                     let is_new = matches!(frame.data(), [0x23, 0x10, 0x20, ..]);
                     if fault == Fault::Older && is_new {
                         let read_only = [0x80, 0x10, 0x20, frame.data()[3], 2, 0, 1, 6];
@@ -208,11 +208,11 @@ pub fn live(
                         port.send(&answer);
                         continue;
                     }
-                    if fault == Fault::Loses(heard.frames - 1) {
+                    if fault == Fault::Loses(received.frames - 1) {
                         continue;
                     }
                     // A tool that speaks where a CNC has spoken counts from 0.
-                    let refused = node.hear(Line::Serial, &frame).err();
+                    let refused = node.receive(Interface::Serial, &frame).err();
                     assert!(refused.is_none_or(|it| it.is_sound()), "no tool sends damaged frames");
                 }
             }
@@ -241,7 +241,7 @@ pub fn live(
             }
             control = 0;
         }
-        let is_gone = fault == Fault::CncLeaves && is_opened_again(heard);
+        let is_gone = fault == Fault::CncLeaves && is_opened_again(received);
         if ms % 20 == 0 && !is_gone {
             speak_as_cnc(&mut node, control, is_engaged());
             control += 1;

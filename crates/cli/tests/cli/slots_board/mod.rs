@@ -25,7 +25,7 @@ use trueup_core::{bridge::Input, cnc::Control};
 use trueup_emulator::slots::sign;
 use trueup_link::{frames, layout::SDO_ANSWER_ID, slcan::Port};
 use trueup_node::node::{
-    Line, Node,
+    Interface, Node,
     firmware::{Piece, Slots, Step},
 };
 use trueup_signature::PrivateKey;
@@ -196,13 +196,13 @@ impl Board {
         for ms in 0_u32.. {
             thread::sleep(Duration::from_millis(1));
             match tools.read(&mut bytes) {
-                Ok(length) => self.hear(&bytes[..length]),
+                Ok(length) => self.receive(&bytes[..length]),
                 Err(error) if error.kind() == ErrorKind::WouldBlock => {}
                 Err(_) => tools.stream = None,
             }
             if self.setup.has_cnc && ms % 20 == 0 {
                 let control = frames::control(Control::REFERENCED, (ms / 20) as u8);
-                self.node.hear(Line::Can, &control).expect("in order");
+                self.node.receive(Interface::Can, &control).expect("in order");
             }
             let mut piece = Piece::new();
             while let Some(step) = self.node.take_firmware(&mut piece) {
@@ -251,11 +251,11 @@ impl Board {
         }
     }
 
-    fn hear(&mut self, bytes: &[u8]) {
+    fn receive(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let Some(frame) = self.port.receive(*byte) else { continue };
             // A tool that comes back counts its `Control` from 0.
-            self.node.hear(Line::Serial, &frame).ok();
+            self.node.receive(Interface::Serial, &frame).ok();
         }
     }
 }

@@ -24,12 +24,12 @@ fn machine(rapid: u32) -> Calibration<'static> {
 
 impl Rig {
     fn position(&mut self, at: i32) {
-        let heard = AxisPosition {
+        let received = AxisPosition {
             axis: LinearAxis::X,
             position: Position(at),
             direction: Heading::Positive,
         };
-        self.bridge.hear(&mut self.state, Command::Position(heard));
+        self.bridge.receive(&mut self.state, Command::Position(received));
     }
 
     /// This many milliseconds with a `Control` in each and no position.

@@ -16,8 +16,8 @@ extern crate std;
 fn at(rig: &mut Rig, axes: impl Iterator<Item = LinearAxis>) -> Output {
     rig.control(ENGAGED);
     for axis in axes {
-        let heard = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
-        rig.bridge.hear(&mut rig.state, Command::Position(heard));
+        let received = AxisPosition { axis, position: Position(0), direction: Heading::Positive };
+        rig.bridge.receive(&mut rig.state, Command::Position(received));
     }
     rig.tick(None)
 }
@@ -62,8 +62,8 @@ fn lives(rig: &mut Rig, ms: u32, zero: bool, [sensor, thermometer, position]: [b
         if position {
             let position = Position(1_000 * Position::PER_MILLIMETRE);
             let axis = LinearAxis::X;
-            let heard = AxisPosition { axis, position, direction: Heading::Positive };
-            rig.bridge.hear(&mut rig.state, Command::Position(heard));
+            let received = AxisPosition { axis, position, direction: Heading::Positive };
+            rig.bridge.receive(&mut rig.state, Command::Position(received));
         }
         let codes = core::array::from_fn(|n| Code(if sensor { 1_049 + n as u16 % 3 } else { 0 }));
         let mut raw = [Raw::NONE; CHANNELS];
@@ -141,7 +141,7 @@ fn the_offset_follows_the_head_from_angle_to_angle() {
     {
         // Said once, which is enough.
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
         rig.run_engaged(300, 1_100);
         assert_eq!(rig.last.offset, Some([0, y_nm, z_nm].map(Nanometres)), "{degrees} degrees");
     }
@@ -213,9 +213,9 @@ fn speed_and_load_are_needed_where_a_term_is_over_them_and_the_angles_where_a_he
         (head, None),
         (growing, Some(angles)),
     ] {
-        let is_live = |heard: Option<Command>| {
+        let is_live = |received: Option<Command>| {
             let mut rig = Rig::new(machine);
-            heard.into_iter().for_each(|command| rig.bridge.hear(&mut rig.state, command));
+            received.into_iter().for_each(|command| rig.bridge.receive(&mut rig.state, command));
             at(&mut rig, [].into_iter()).quality == Quality::Live
         };
         assert_eq!(is_live(None), needed.is_none(), "{:?}", machine.terms[0]);
@@ -228,8 +228,8 @@ fn a_single_message_of_a_position_moves_the_offset() {
     let mut rig = Rig::new(expanding());
     warm(&mut rig, 300, Some(21), 1_000);
     let position = Position(1_500 * Position::PER_MILLIMETRE);
-    let heard = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
-    rig.bridge.hear(&mut rig.state, Command::Position(heard));
+    let received = AxisPosition { axis: LinearAxis::X, position, direction: Heading::Positive };
+    rig.bridge.receive(&mut rig.state, Command::Position(received));
     let mut raw = [Raw::NONE; CHANNELS];
     raw[3] = Raw(21 * 256);
     for _ in 0..60 {

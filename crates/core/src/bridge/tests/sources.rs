@@ -115,13 +115,13 @@ fn a_fall_back_whose_zero_is_not_known_is_not_used() {
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));
     // It has outlasted the reset: it goes on.
-    let kept = KeptJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    let kept = RetainedJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
     let mut rig = Rig::new(chain());
     rig.state.set_reference(reference);
     rig.state.resume_joint(kept);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::TemperatureModel, 1_000));
-    assert_eq!(rig.state.kept_joint(), Some(kept));
+    assert_eq!(rig.state.retained_joint(), Some(kept));
 }
 
 #[test]
@@ -266,7 +266,7 @@ fn a_quiet_sensor_that_stands_still_is_a_fault_where_run_out_must_show_and_only_
 #[test]
 fn the_first_source_counts_from_its_own_zero_where_another_one_was_used_before_the_reset() {
     let mut rig = Rig::new(chain());
-    let kept = KeptJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
+    let kept = RetainedJoint { source: ElongationSource::Temperature, shift: Nanometres(41_000) };
     rig.state.resume_joint(kept);
     hold(&mut rig, 1_000, 1_050, Some(22));
     assert_eq!(rig.last.quality, Quality::Live);
@@ -319,7 +319,7 @@ fn what_was_never_followed_leaves_nothing_for_after_a_reset_unless_the_first_sou
             let input = Input { temperatures, speed, codes: Some(&codes) };
             rig.last = rig.bridge.tick(&mut rig.state, rig.now, input);
         }
-        assert_eq!(rig.state.kept_joint().map(|kept| kept.source), kept);
+        assert_eq!(rig.state.retained_joint().map(|kept| kept.source), kept);
     }
 }
 
@@ -388,7 +388,7 @@ fn the_age_is_that_of_the_angles_while_the_head_turns() {
     let mut rig = Rig::new(machine);
     for (degrees, is_turning) in [(10, false), (20, true), (30, true), (30, false)] {
         let angles = [MicroDegrees(degrees * 1_000_000), MicroDegrees(0)];
-        rig.bridge.hear(&mut rig.state, Command::Rotary(Rotary { angles }));
+        rig.bridge.receive(&mut rig.state, Command::Rotary(Rotary { angles }));
         for ms in 1..=100_u8 {
             let age_ms = rig.run_engaged(1, 1_100).age_ms;
             if rig.now.0 > 100 {
@@ -406,7 +406,7 @@ fn a_source_whose_zero_is_not_known_is_not_used_in_the_place_of_the_one_before_t
     (machine.spindle.chain[2], machine.spindle.warmup) = (None, None);
     let mut rig = Rig::new(machine);
     rig.state.set_reference(reference);
-    let kept = KeptJoint { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
+    let kept = RetainedJoint { source: ElongationSource::Warmup, shift: Nanometres(41_000) };
     rig.state.resume_joint(kept);
     hold(&mut rig, 2_000, 0, Some(22));
     assert_eq!((rig.last.quality, rig.last.offset), (Quality::Fault, None));

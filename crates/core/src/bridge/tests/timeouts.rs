@@ -64,11 +64,11 @@ fn a_second_without_a_temperature_is_put_up_with_and_little_more() {
 fn what_is_barred_goes_to_0_and_is_not_available_from_then_on() {
     let mut rig = Rig::new(calibration());
     rig.run_engaged(200, 1_050);
-    rig.state.bar(true);
+    rig.state.inhibit(true);
     assert_eq!(rig.run_engaged(1, 1_050).quality, Quality::RampingOut);
     let output = rig.run_engaged(60, 1_050);
     assert_eq!((output.quality, output.offset), (Quality::Fault, None));
-    rig.state.bar(false);
+    rig.state.inhibit(false);
     rig.run_engaged(60, 1_050);
     assert_eq!((rig.last.quality, rig.z_nm()), (Quality::Live, 51_200));
 }
@@ -99,7 +99,7 @@ fn what_is_measured_by_a_supply_that_is_not_believed_is_not_and_one_that_has_mov
     // All codes are 2 % too high by it: 1 071 are 1 050.
     let mut supply = Supply::default();
     supply.set_basis(Level(1_500 * 16));
-    (0..2_000).for_each(|_| supply.hear(Code(1_530)));
+    (0..2_000).for_each(|_| supply.receive(Code(1_530)));
     rig.state.set_supply(Some(supply.scale()));
     rig.run_engaged(200, 1_071);
     assert_eq!(rig.last.quality, Quality::Live);

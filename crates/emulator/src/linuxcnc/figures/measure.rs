@@ -137,10 +137,10 @@ const LAG_AXIS: usize = 1;
 /// Returns the delay, in cycles, at which offset and error cancel best; and how many µm/s the error changes
 /// by (RMS).
 fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
-    const MOST: usize = 100;
+    const MAX: usize = 100;
     let left = |delay: usize| {
         let mut moments = (0.0, 0.0, 0.0);
-        for n in MOST..cycles.len() {
+        for n in MAX..cycles.len() {
             let error_um = cycles[n - delay].without_um[LAG_AXIS];
             let rest = cycles[n].eoffset_mm[LAG_AXIS] * 1e3 + error_um;
             moments = (moments.0 + 1.0, moments.1 + rest, moments.2 + rest * rest);
@@ -148,11 +148,11 @@ fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
         let (count, sum, squares) = moments;
         squares / count - (sum / count).powi(2)
     };
-    if cycles.len() < 3 * MOST {
+    if cycles.len() < 3 * MAX {
         return None;
     }
-    let all: Vec<f64> = (0..=MOST).map(left).collect();
-    let best = (0..=MOST).min_by(|&one, &other| all[one].total_cmp(&all[other]))?;
+    let all: Vec<f64> = (0..=MAX).map(left).collect();
+    let best = (0..=MAX).min_by(|&one, &other| all[one].total_cmp(&all[other]))?;
     // A parabola through the least and its neighbours.
     let refined = match (best.checked_sub(1).map(|n| all[n]), all.get(best + 1)) {
         (Some(low), Some(&high)) if low + high > 2.0 * all[best] => {
@@ -169,12 +169,12 @@ fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
 
 pub(super) fn lag(cycles: &[&Cycle]) -> Result<Lag> {
     const WINDOW: usize = 2_000;
-    const LEAST_UM_PER_S: f64 = 10.0;
+    const MIN_UM_PER_S: f64 = 10.0;
     let (mean_ms, _) = delay(cycles).context("the diagonal is too short")?;
     let worst_ms = cycles
         .chunks(WINDOW)
         .filter_map(delay)
-        .filter(|(_, speed)| *speed > LEAST_UM_PER_S)
+        .filter(|(_, speed)| *speed > MIN_UM_PER_S)
         .map(|(ms, _)| ms)
         .fold(mean_ms, f64::max);
     let place = |cycle: &Cycle| cycle.commanded_mm();

@@ -4,13 +4,13 @@ use std::{borrow::Cow, fmt::Write as _, path::Path};
 
 use trueup_machine::{
     Machine, MachineFile, RunFile,
-    applied::Unaided,
+    applied::Uncompensated,
     file::write::Edit,
     model::{ReferenceModel, Situation},
 };
 
 /// Returns the run file with this content.
-pub fn run_of(text: &str) -> Unaided<'static> {
+pub fn run_of(text: &str) -> Uncompensated<'static> {
     unaided(
         RunFile::from_reader(text.as_bytes(), Path::new("r.csv"))
             .expect("the test's own text is a run file"),
@@ -18,8 +18,8 @@ pub fn run_of(text: &str) -> Unaided<'static> {
 }
 
 /// Returns a run that no bridge had a part in.
-pub fn unaided(run: RunFile) -> Unaided<'static> {
-    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+pub fn unaided(run: RunFile) -> Uncompensated<'static> {
+    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
 /// Returns a run of sweeps up and down over `targets`: `error` in µm of run, position and direction.

@@ -8,7 +8,7 @@ use rand::SeedableRng as _;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution as _, StandardNormal};
 use trueup_fit::Report;
-use trueup_machine::{Machine, MachineFile, RunFile, applied::Unaided, predict::Predictor};
+use trueup_machine::{Machine, MachineFile, RunFile, applied::Uncompensated, predict::Predictor};
 
 /// The shortest machine file.
 pub const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n";
@@ -27,7 +27,7 @@ impl Noise {
 }
 
 /// Returns a run of these columns, under the name `run.csv`.
-pub fn run(columns: &[(&str, &[f64])]) -> Unaided<'static> {
+pub fn run(columns: &[(&str, &[f64])]) -> Uncompensated<'static> {
     let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
     let mut text = names.join(",");
     text.push('\n');
@@ -46,11 +46,11 @@ pub fn run(columns: &[(&str, &[f64])]) -> Unaided<'static> {
 }
 
 /// Returns a run that no bridge had a part in.
-pub fn unaided(run: RunFile) -> Unaided<'static> {
-    Unaided::of(Cow::Owned(run), None, None).expect("no bridge").0
+pub fn unaided(run: RunFile) -> Uncompensated<'static> {
+    Uncompensated::of(Cow::Owned(run), None, None).expect("no bridge").0
 }
 
-pub fn parse(text: &str) -> Unaided<'static> {
+pub fn parse(text: &str) -> Uncompensated<'static> {
     let run = RunFile::from_reader(text.as_bytes(), Path::new("run.csv"));
     unaided(run.expect("the test's own text"))
 }

@@ -248,15 +248,15 @@ fn pieces_of_any_size_are_the_same_bytes_in_their_order() {
     for size in 1..=lines.len() + 1 {
         let mut port = opened();
         assert!(port.send_all(&frames));
-        let (mut heard, mut piece) = (Vec::new(), vec![0; size]);
+        let (mut received, mut piece) = (Vec::new(), vec![0; size]);
         loop {
             let count = port.take(&mut piece);
-            heard.extend_from_slice(&piece[..count]);
+            received.extend_from_slice(&piece[..count]);
             if count < size {
                 break;
             }
         }
-        assert_eq!(heard, lines, "pieces of {size}");
+        assert_eq!(received, lines, "pieces of {size}");
     }
 }
 

@@ -5,7 +5,7 @@ use trueup_core::dimensions::MAX_TOOLS;
 
 use super::{Dependence, Form, values::SWITCH};
 use crate::{
-    effect::page::{Heat, OnBoard, Times},
+    effect::cause_spec::{Heat, OnBoard, Times},
     tool::TOOL_COLUMN,
 };
 

@@ -7,15 +7,15 @@ use super::{
 };
 use crate::{
     effect::{
-        page::Times,
-        survey::{Settings, Survey, TIME_CONSTANTS, spread},
+        cause_spec::Times,
+        data_view::{DataView, StartValues, TIME_CONSTANTS, spread},
     },
     file::spindle::ElongationSource,
     tool::TOOL_COLUMN,
 };
 
 /// Proposes what the recorded columns allow.
-pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Settings)) {
+pub(super) fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
     let mut times = vec![Times::One];
     if survey.varies(SPEED) {
         times.push(Times::Speed2);
@@ -70,7 +70,7 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Sett
                 if is_switch && is_alone {
                     with(of(1.0, form.clone(), &times), late());
                 }
-                with(of(0.0, form, &times), Settings::none());
+                with(of(0.0, form, &times), StartValues::none());
                 continue;
             }
             // The number of a tool is no amount.
@@ -78,11 +78,11 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Sett
                 continue;
             }
             let reference = zero_of(values);
-            with(of(0.0, Form::Line { slope: 0.0, reference }, &times), Settings::none());
+            with(of(0.0, Form::Line { slope: 0.0, reference }, &times), StartValues::none());
             if is_alone {
                 with(of(1.0, Form::Line { slope: 0.0, reference }, &times), late());
                 for curve in curves(values) {
-                    with(of(0.0, curve, &times), Settings::none());
+                    with(of(0.0, curve, &times), StartValues::none());
                 }
             }
             if let Some((hinge, bends)) = hinge(values).filter(|_| !is_second) {
@@ -93,18 +93,18 @@ pub(super) fn propose(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Sett
 }
 
 /// Proposes a bend and curves over the speed.
-fn of_speed(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Settings)) {
+fn of_speed(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
     let values = survey.column(SPEED).unwrap_or(&[]);
     if let Some((form, bends)) = hinge(values).filter(|_| survey.grows()) {
         with(Dependence { form, ..Dependence::of(SPEED) }, bends);
     }
     for form in curves(values) {
-        with(Dependence { form, ..Dependence::of(SPEED) }, Settings::none());
+        with(Dependence { form, ..Dependence::of(SPEED) }, StartValues::none());
     }
 }
 
 /// Proposes what goes with temperatures and is not proportional to one of them.
-fn of_temperatures(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Settings)) {
+fn of_temperatures(survey: &dyn DataView, with: &mut dyn FnMut(Dependence, StartValues)) {
     let all: Vec<(&str, &[f64])> =
         survey.temperatures().into_iter().filter_map(|name| varying(survey, name)).collect();
     for (number, &(column, values)) in all.iter().enumerate() {
@@ -121,16 +121,16 @@ fn of_temperatures(survey: &dyn Survey, with: &mut dyn FnMut(Dependence, Setting
                 Dependence { lag_s: 1.0, ..at_once.clone() },
                 survey.time_constants(TIME_CONSTANTS),
             );
-            with(at_once, Settings::none());
+            with(at_once, StartValues::none());
         }
     }
 }
 
 /// Returns a line from a value on, with values to begin from.
-fn hinge(values: &[f64]) -> Option<(Form, Settings)> {
+fn hinge(values: &[f64]) -> Option<(Form, StartValues)> {
     let bends = bends(values);
     let [low, .., high] = bends[..] else { return None };
-    Some((Form::Hinge { slope: 0.0, from: low, range: [low, high] }, Settings::at(bends)))
+    Some((Form::Hinge { slope: 0.0, from: low, range: [low, high] }, StartValues::at(bends)))
 }
 
 /// Returns curves of few and of more places.
@@ -140,7 +140,7 @@ fn curves(values: &[f64]) -> impl Iterator<Item = Form> {
 }
 
 /// Returns the values of a column in the rows in which what it is multiplied by is not 0.
-fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
+fn acting(survey: &dyn DataView, values: &[f64], times: &Times) -> Vec<f64> {
     let factor = match times {
         Times::Speed2 => survey.column(SPEED),
         Times::Growth => Some(survey.law()),
@@ -151,6 +151,6 @@ fn acting(survey: &dyn Survey, values: &[f64], times: &Times) -> Vec<f64> {
 }
 
 /// Returns a column that has different values.
-fn varying<'s>(survey: &'s dyn Survey, name: &'s str) -> Option<(&'s str, &'s [f64])> {
+fn varying<'s>(survey: &'s dyn DataView, name: &'s str) -> Option<(&'s str, &'s [f64])> {
     survey.column(name).filter(|values| spread(values) > 0.0).map(|values| (name, values))
 }

@@ -2,7 +2,7 @@
 
 use super::{Dependence, Form, values::SWITCH};
 use crate::{
-    effect::page::{Times, number},
+    effect::cause_spec::{Times, number},
     file::{inputs::is_temperature_column, read::Section},
     location::BadInput,
 };

@@ -2,9 +2,9 @@
 
 use crate::{
     effect::{
+        cause_spec::Input,
+        data_view::{DataView, StartValues, spread},
         forms::Times,
-        page::Input,
-        survey::{Settings, Survey, spread},
     },
     file::inputs::is_temperature_column,
 };
@@ -49,14 +49,14 @@ impl Times {
     }
 
     /// Lets the reference of a temperature be fitted, and returns values to begin from; none of other columns.
-    pub(super) fn free_reference(&mut self, survey: &dyn Survey) -> Option<Settings> {
+    pub(super) fn free_reference(&mut self, survey: &dyn DataView) -> Option<StartValues> {
         let Self::Column { column, range, .. } = self else { return None };
         let values = survey.column(column).filter(|_| is_temperature_column(column))?;
         let finite = values.iter().copied().filter(|value| value.is_finite());
         let low = finite.clone().fold(f64::INFINITY, f64::min);
         let width = spread(values);
         *range = [low - width, low + 2.0 * width];
-        Some(Settings::at([
+        Some(StartValues::at([
             low - 0.5 * width,
             low + 0.25 * width,
             low + 0.75 * width,

@@ -11,16 +11,16 @@ const CONFIRM: Control = Control { confirm: true, ..Control::REFERENCED };
 fn steady() -> Master {
     let mut master = Master::default();
     for _ in 0..STEADY {
-        let heard = master.take(Line::Can, Control::REFERENCED).expect("it is alone");
-        assert!(!heard.zero && !heard.confirm);
+        let received = master.take(Interface::Can, Control::REFERENCED).expect("it is alone");
+        assert!(!received.zero && !received.confirm);
     }
     master
 }
 
 /// Returns what comes of each of this many frames: `Zero` believed, `Zero` asked for, `Confirm`.
 fn says(master: &mut Master, control: Control, count: usize) -> Vec<(bool, bool, bool)> {
-    let mut one = || master.take(Line::Can, control).expect("it is alone");
-    let three = |heard: Heard| (heard.control.zero, heard.zero, heard.confirm);
+    let mut one = || master.take(Interface::Can, control).expect("it is alone");
+    let three = |received: ControlEvent| (received.control.zero, received.zero, received.confirm);
     (0..count).map(|_| three(one())).collect()
 }
 
@@ -63,8 +63,8 @@ fn a_zero_that_a_refused_frame_cuts_short_is_told_once_and_what_was_not_begun_is
 fn confirm_answers_a_question_and_is_nothing_that_the_bridge_hears() {
     let mut master = steady();
     for _ in 0..5 {
-        let heard = master.take(Line::Can, CONFIRM).expect("it is alone");
-        assert_eq!(heard.control, Control::REFERENCED);
+        let received = master.take(Interface::Can, CONFIRM).expect("it is alone");
+        assert_eq!(received.control, Control::REFERENCED);
     }
 }
 
@@ -73,10 +73,10 @@ fn a_line_is_the_masters_up_to_the_timeout_of_the_link_and_anybodys_after_it() {
     for (step_ms, steps) in [(1, TIMEOUT_MS), (TIMEOUT_MS, 1)] {
         let mut master = steady();
         (0..steps).for_each(|_| master.tick(step_ms, TIMEOUT_MS));
-        assert!(master.admits(Line::Can) && !master.admits(Line::Serial));
+        assert!(master.admits(Interface::Can) && !master.admits(Interface::Serial));
         assert_eq!(master.authority(), Authority::NoService);
         master.tick(step_ms, TIMEOUT_MS);
-        assert!(master.admits(Line::Serial));
+        assert!(master.admits(Interface::Serial));
         assert_eq!(master.authority(), Authority::NoMaster);
     }
 }
@@ -90,7 +90,7 @@ fn a_second_master_is_told_for_two_to_four_seconds_after_the_last_frame_out_of_s
         let mut master = steady();
         (0..strange).for_each(|_| master.refuse(true));
         assert_eq!(master.is_second(), is_doubtful, "{strange} frames");
-        let believed = master.take(Line::Can, Control::REFERENCED).is_some();
+        let believed = master.take(Interface::Can, Control::REFERENCED).is_some();
         assert_eq!(believed, !is_doubtful, "{strange} frames");
         // Nobody else sends: one frame follows from nothing.
         let told_ms = (0..100_000).take_while(|_| {
@@ -118,7 +118,7 @@ fn contest(period_ms: u32, burst: u32, every_ms: u32, bursts: u32, ms: u32) -> (
         if !follows {
             master.refuse(true);
         }
-        follows && master.take(Line::Can, Control::REFERENCED).is_some()
+        follows && master.take(Interface::Can, Control::REFERENCED).is_some()
     };
     let mut is_back = false;
     let last = every_ms * bursts;
@@ -157,9 +157,9 @@ fn a_stranger_does_not_become_the_master_of_a_cnc_that_sends_four_times_in_its_t
 #[test]
 fn another_line_is_told_for_two_and_four_tenths_of_a_second_after_it_was_last_heard() {
     let mut master = steady();
-    master.hear_other();
+    master.receive_other();
     (0..2_000).for_each(|_| master.tick(1, TIMEOUT_MS));
-    master.hear_other();
+    master.receive_other();
     for ms in 0..3_000 {
         assert_eq!(master.is_second(), ms < 2_400, "after {ms} ms");
         master.tick(1, TIMEOUT_MS);

@@ -12,14 +12,14 @@ use core::{
 
 use trueup_node::start::{FILE, Stop};
 
-use crate::alive;
+use crate::liveness;
 
 /// Words of a record: kind, four numbers, the place's line, its file in six words, the task, and the checksum.
 const WORDS: usize = 14;
 /// The checksum of nothing but zeros: so that cleared RAM is no record.
 const SEED: u32 = 0x7472_7565;
 
-#[unsafe(link_section = ".uninit.last_words")]
+#[unsafe(link_section = ".uninit.crash_record")]
 #[allow(unsafe_code, reason = "a place in RAM that the start leaves as it is")]
 static RECORD: MaybeUninit<[AtomicU32; WORDS]> = MaybeUninit::uninit();
 
@@ -32,7 +32,7 @@ fn record() -> &'static [AtomicU32; WORDS] {
 /// Why the board stopped itself.
 #[derive(Clone, Copy, PartialEq, Eq, defmt::Format)]
 #[repr(u32)]
-pub enum Why {
+pub enum StopReason {
     /// A panic.
     Panic = 1,
     /// The core stopped it: a hard fault.
@@ -57,14 +57,14 @@ pub struct Core {
 }
 
 /// The record that was left.
-pub struct LastWords {
-    pub why: Why,
+pub struct CrashRecord {
+    pub why: StopReason,
     pub stop: Stop,
 }
 
-impl LastWords {
+impl CrashRecord {
     /// Into the log.
-    pub fn say(&self) {
+    pub fn report(&self) {
         let Stop { pc, lr, status, address, line, task, .. } = self.stop;
         let file = core::str::from_utf8(self.stop.file()).unwrap_or_default();
         defmt::error!(
@@ -86,7 +86,7 @@ fn checksum(words: &[u32]) -> u32 {
 }
 
 /// Leaves a record to the next start. The first of a start stays: what fails after it, fails because of it.
-pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
+pub fn leave(why: StopReason, core: Core, place: Option<&core::panic::Location<'_>>) {
     if read().is_some() {
         return;
     }
@@ -104,7 +104,7 @@ pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
             *word = u32::from_le_bytes(*bytes);
         }
     }
-    words[WORDS - 2] = alive::mark().into();
+    words[WORDS - 2] = liveness::mark().into();
     words[WORDS - 1] = checksum(&words[..WORDS - 1]);
     for (place, word) in record().iter().zip(words) {
         place.store(word, Ordering::Relaxed);
@@ -112,17 +112,17 @@ pub fn leave(why: Why, core: Core, place: Option<&core::panic::Location<'_>>) {
     fence(Ordering::SeqCst);
 }
 
-fn read() -> Option<LastWords> {
+fn read() -> Option<CrashRecord> {
     let words: [u32; WORDS] = core::array::from_fn(|n| record()[n].load(Ordering::Relaxed));
     if words[WORDS - 1] != checksum(&words[..WORDS - 1]) {
         return None;
     }
     let why = match words[0] {
-        1 => Why::Panic,
-        2 => Why::HardFault,
-        3 => Why::Crystal,
-        4 => Why::StackOverflow,
-        5 => Why::Registers,
+        1 => StopReason::Panic,
+        2 => StopReason::HardFault,
+        3 => StopReason::Crystal,
+        4 => StopReason::StackOverflow,
+        5 => StopReason::Registers,
         _ => return None,
     };
     let mut file = [0; FILE];
@@ -131,11 +131,11 @@ fn read() -> Option<LastWords> {
     }
     let [_, pc, lr, status, address, line, ..] = words;
     let [task, ..] = words[WORDS - 2].to_le_bytes();
-    Some(LastWords { why, stop: Stop { pc, lr, status, address, line, file, task } })
+    Some(CrashRecord { why, stop: Stop { pc, lr, status, address, line, file, task } })
 }
 
 /// Returns what the last start has left, once.
-pub fn take() -> Option<LastWords> {
+pub fn take() -> Option<CrashRecord> {
     let words = read();
     record().iter().for_each(|place| place.store(0, Ordering::Relaxed));
     words

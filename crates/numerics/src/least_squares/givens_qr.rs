@@ -18,7 +18,7 @@ const DEPENDENT: f64 = 1e-11;
 
 /// The rows so far.
 #[derive(Clone, Debug)]
-pub struct Triangle {
+pub struct GivensQr {
     columns: usize,
     /// R and z, row by row, each `columns + 1` long.
     rotated: Vec<f64>,
@@ -45,7 +45,7 @@ impl fmt::Display for Dependent {
 
 impl Error for Dependent {}
 
-impl Triangle {
+impl GivensQr {
     /// No row yet, of this many columns.
     #[must_use]
     pub fn new(columns: usize) -> Self {
@@ -234,7 +234,7 @@ mod tests {
     fn two_columns_give_the_line_and_its_left_out_residuals() {
         let (x, y) = data();
         let line = fit_line(&x, &y).expect("spread data");
-        let mut triangle = Triangle::new(2);
+        let mut triangle = GivensQr::new(2);
         x.iter().zip(&y).for_each(|(&x, &y)| triangle.add(&[1.0, x - 1e4], y));
         let solution = triangle.solve().expect("spread data");
         assert!((solution.coefficients[1] - line.gain).abs() < 1e-12);
@@ -250,7 +250,7 @@ mod tests {
     #[test]
     fn the_standard_errors_are_those_of_the_textbook() {
         let (x, y) = data();
-        let mut triangle = Triangle::new(2);
+        let mut triangle = GivensQr::new(2);
         x.iter().zip(&y).for_each(|(&x, &y)| triangle.add(&[1.0, x], y));
         let solution = triangle.solve().expect("spread data");
         let mean = x.iter().sum::<f64>() / 25.0;
@@ -264,12 +264,12 @@ mod tests {
 
     #[test]
     fn a_column_that_follows_from_the_others_is_named() {
-        let mut triangle = Triangle::new(3);
+        let mut triangle = GivensQr::new(3);
         for i in 0..20 {
             let x = f64::from(i);
             triangle.add(&[1.0, x, 3.0 - 0.1 * x], x * x);
         }
         assert_eq!(triangle.solve(), Err(Dependent { column: 2 }));
-        assert_eq!(Triangle::new(1).solve(), Err(Dependent { column: 0 }));
+        assert_eq!(GivensQr::new(1).solve(), Err(Dependent { column: 0 }));
     }
 }

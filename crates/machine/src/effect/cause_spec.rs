@@ -8,12 +8,12 @@
 //! ```
 //!
 //! A diagnosis works with the neutral value of a cause, which changes nothing, and with a list of
-//! numbers next to it: first the [nonlinear](Page::nonlinear) ones (a time constant, a period), then
-//! amplitudes, which are 0 where there is no effect. [`Page::set`] puts the two together.
+//! numbers next to it: first the [nonlinear](CauseSpec::nonlinear) ones (a time constant, a period), then
+//! amplitudes, which are 0 where there is no effect. [`CauseSpec::set`] puts the two together.
 
 use trueup_core::term::SpeedPower;
 
-use super::survey::{Settings, Survey};
+use super::data_view::{DataView, StartValues};
 use crate::{
     file::read::Section,
     file::{
@@ -100,7 +100,7 @@ pub enum Stage {
 
 /// Whose error a cause can be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Home {
+pub enum Target {
     /// The tool's growth.
     Elongation,
     /// An axis.
@@ -279,12 +279,12 @@ impl Host<'_> {
 }
 
 /// The properties of a cause with its numbers.
-pub trait Page {
+pub trait CauseSpec {
     /// Its keys in a `[[term]]`.
     fn entries(&self) -> Vec<Entry>;
 
     /// Whose error it can be.
-    fn home(&self) -> Home;
+    fn home(&self) -> Target;
 
     /// Why it cannot be a cause there, if it cannot: the rule, to be read after its name.
     fn refusal(&self, _host: &Host<'_>) -> Option<String> {
@@ -337,7 +337,7 @@ pub trait Page {
         None
     }
 
-    /// Its values: nonlinear ones, then amplitudes. [`Page::set`] with them changes nothing.
+    /// Its values: nonlinear ones, then amplitudes. [`CauseSpec::set`] with them changes nothing.
     fn values(&self) -> Vec<f64>;
 
     /// Puts values, as many as there are, into the neutral one.
@@ -414,7 +414,7 @@ pub trait Page {
 }
 
 /// The properties of a cause as such.
-pub(crate) trait Definition: Page + Sized {
+pub(crate) trait Definition: CauseSpec + Sized {
     /// Its name in files: `thermal-lag`.
     const NAME: &'static str;
 
@@ -438,7 +438,7 @@ pub(crate) trait Definition: Page + Sized {
     }
 
     /// Proposes what of it the data allow, neutral, with values to begin from.
-    fn propose(_survey: &dyn Survey, _with: &mut dyn FnMut(Self, Settings)) {}
+    fn propose(_survey: &dyn DataView, _with: &mut dyn FnMut(Self, StartValues)) {}
 
     /// Returns the measurement that would distinguish it from `rival`, a cause's name.
     fn against(_rival: &str) -> Option<&'static str> {

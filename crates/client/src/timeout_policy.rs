@@ -7,7 +7,7 @@
 //!
 //! | given up after | where |
 //! |---|---|
-//! | [`LEAST`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
+//! | [`MIN`], and [`BEATS`] heartbeats | the bridge lives, and has not answered: the frame is lost |
 //! | [`SILENCE`] without a heartbeat | no bridge is there, or it hangs, or its heartbeat is turned off |
 //! | [`STALL`] without a heartbeat | the same of a bridge that erases a firmware slot, which stops all of it |
 
@@ -18,7 +18,7 @@ pub const LOOK: Duration = Duration::from_millis(100);
 /// Heartbeats of a bridge that has had its time: 2 s of it.
 const BEATS: u32 = 20;
 /// The same by the clock, for heartbeats that have waited in a buffer all at once.
-const LEAST: Duration = Duration::from_secs(2);
+const MIN: Duration = Duration::from_secs(2);
 /// The longest wait without any heartbeat.
 const SILENCE: Duration = Duration::from_secs(5);
 /// The same of a bridge that erases two sectors of 128 KB meanwhile: 4 s at most by the data sheet of its chip, and as
@@ -26,7 +26,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 const STALL: Duration = Duration::from_secs(12);
 
 /// The patience of one question.
-pub struct Patience {
+pub struct TimeoutPolicy {
     looked: Instant,
     listened: Duration,
     /// How much of it since the last heartbeat.
@@ -36,7 +36,7 @@ pub struct Patience {
     silence: Duration,
 }
 
-impl Patience {
+impl TimeoutPolicy {
     /// From `now` on an answer is waited for.
     pub fn from(now: Instant) -> Self {
         let [listened, silent] = [Duration::ZERO; 2];
@@ -59,7 +59,7 @@ impl Patience {
 
     /// Returns whether no answer is to be expected any more.
     pub fn is_over(&self) -> bool {
-        self.silent >= self.silence || self.listened >= LEAST && self.beats >= BEATS
+        self.silent >= self.silence || self.listened >= MIN && self.beats >= BEATS
     }
 
     /// Returns how long has been listened.
@@ -76,10 +76,10 @@ mod tests {
 
     /// Looks that each take `look`, every `per_beat`th of which brings a heartbeat; when it is over.
     fn over_after(look: Duration, per_beat: u32) -> Duration {
-        over(Patience::from, look, per_beat)
+        over(TimeoutPolicy::from, look, per_beat)
     }
 
-    fn over(patience: fn(Instant) -> Patience, look: Duration, per_beat: u32) -> Duration {
+    fn over(patience: fn(Instant) -> TimeoutPolicy, look: Duration, per_beat: u32) -> Duration {
         let start = Instant::now();
         let (mut patience, mut now) = (patience(start), start);
         for number in 1..100_000 {
@@ -112,7 +112,7 @@ mod tests {
     }
     #[test]
     fn an_erase_may_last_twelve_seconds_and_a_live_bridge_has_no_longer_for_it() {
-        assert_eq!(over(Patience::over_an_erase, LOOK, 0), 12_000 * MS);
-        assert_eq!(over(Patience::over_an_erase, MS, 100), 2_000 * MS);
+        assert_eq!(over(TimeoutPolicy::over_an_erase, LOOK, 0), 12_000 * MS);
+        assert_eq!(over(TimeoutPolicy::over_an_erase, MS, 100), 2_000 * MS);
     }
 }

@@ -4,7 +4,7 @@ use crate::{kind::Kind, search::lack_of_fit::Inputs};
 
 /// A reason not to claim a term.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Doubt {
+pub(crate) enum Caveat {
     /// Another cause, or the same by another column, explains the data as well.
     Rival(Kind),
     /// Its values are not identified.
@@ -55,7 +55,7 @@ pub(crate) enum Doubt {
     NotRepeated,
 }
 
-impl Doubt {
+impl Caveat {
     /// Returns whether it is doubted how large the term is, if it is anything.
     pub(crate) fn is_of_size(&self) -> bool {
         matches!(self, Self::MayBeNothing | Self::AtTheEnd | Self::GainsOnce)

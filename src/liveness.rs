@@ -72,31 +72,31 @@ pub fn mark() -> u8 {
 }
 
 /// A turn of a task, which ends when it is dropped.
-pub struct Turn {
+pub struct TurnGuard {
     task: Task,
     /// The mark of the task that this one interrupts.
     before: u32,
 }
 
-impl Turn {
+impl TurnGuard {
     /// The task that this one has interrupted hangs: its mark stays, whatever still runs.
-    pub fn accuse_interrupted(&self) {
+    pub fn blame_preempted(&self) {
         ACCUSED.store(true, Ordering::Relaxed);
         running().store(self.before, Ordering::Relaxed);
     }
 }
 
 /// A task begins a turn.
-pub fn enter(task: Task) -> Turn {
+pub fn enter(task: Task) -> TurnGuard {
     // Who interrupts between these two puts the mark back before this goes on.
     let before = running().load(Ordering::Relaxed);
     set(MARK | task as u32);
     #[cfg(feature = "faults")]
     crate::faults::hang_if(task as u32);
-    Turn { task, before }
+    TurnGuard { task, before }
 }
 
-impl Drop for Turn {
+impl Drop for TurnGuard {
     fn drop(&mut self) {
         DONE.fetch_or(1 << self.task as u16, Ordering::Relaxed);
         set(self.before);
@@ -109,7 +109,7 @@ pub fn stay(task: Task) {
 }
 
 /// A task that stays is alive.
-pub fn beat(task: Task) {
+pub fn heartbeat(task: Task) {
     DONE.fetch_or(1 << task as u16, Ordering::Relaxed);
     #[cfg(feature = "faults")]
     crate::faults::hang_if(task as u32);
@@ -117,11 +117,11 @@ pub fn beat(task: Task) {
 
 /// For how long the steady tasks have had no turn.
 #[derive(Default)]
-pub struct Roll {
+pub struct LivenessMonitor {
     silent_ms: [u32; STEADY.len()],
 }
 
-impl Roll {
+impl LivenessMonitor {
     /// After each `elapsed_ms`: whether a task has had no turn for too long.
     pub fn call(&mut self, elapsed_ms: u32) -> bool {
         let done = DONE.swap(0, Ordering::Relaxed);

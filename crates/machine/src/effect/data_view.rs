@@ -17,14 +17,14 @@ pub const FINE_TIME_CONSTANTS: usize = 3 * TIME_CONSTANTS;
 
 /// Nonlinear values to begin from; one empty list where there are none.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct StartValues {
     /// A list for each trial; none: nothing is to be tried.
     pub starts: Vec<Vec<f64>>,
     /// ln of the number of settings that were looked at to find these.
     pub searched: f64,
 }
 
-impl Settings {
+impl StartValues {
     /// Nothing nonlinear.
     #[must_use]
     pub fn none() -> Self {
@@ -52,7 +52,7 @@ pub enum Reading<'a> {
 }
 
 /// The data that a cause is looked for in, the model as it is now, and what that leaves.
-pub trait Survey {
+pub trait DataView {
     /// Returns what was measured.
     fn quantity(&self) -> Quantity;
     /// Returns how the spindle is believed to grow.
@@ -99,20 +99,20 @@ pub trait Survey {
     fn time_of_group(&self, group: usize) -> f64;
     /// This many time constants in equal ratios, from the spacing of the rows to what the longest
     /// series can show; none without a clock.
-    fn time_constants(&self, count: usize) -> Settings;
+    fn time_constants(&self, count: usize) -> StartValues;
     /// Shifts in time that the record can show, in s, in equal ratios from the spacing of the rows; those
     /// below 0 too where the run has a second clock; none without a clock.
-    fn shifts(&self) -> Settings;
+    fn shifts(&self) -> StartValues;
     /// Returns how late a thermometer may be for the record to show it, in s, in equal ratios from the spacing of
     /// the rows; none without a clock.
-    fn lates(&self) -> Settings;
+    fn lates(&self) -> StartValues;
     /// Returns the longest period that the travel can show, in mm.
     fn longest_period_mm(&self) -> f64;
     /// Returns the period of the strongest wave in what is left, if it turns so often over the whole length;
     /// at most `frequencies` are looked at.
-    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<Settings>;
+    fn peak(&self, over: Reading<'_>, least_turns: f64, frequencies: usize) -> Option<StartValues>;
     /// C and P₀ of the strongest wave of C/(P + P₀).
-    fn angled_peak(&self, over: Reading<'_>) -> Option<Settings>;
+    fn angled_peak(&self, over: Reading<'_>) -> Option<StartValues>;
 
     /// Returns what is believed of the own axis's growth.
     fn thermal(&self) -> Option<&Thermal> {
@@ -120,7 +120,7 @@ pub trait Survey {
     }
 }
 
-impl dyn Survey + '_ {
+impl dyn DataView + '_ {
     /// Where the tool's growth comes from, where it is in what was measured.
     #[must_use]
     pub fn source(&self) -> Option<ElongationSource> {
