@@ -78,13 +78,13 @@ def listed():
         files = [word for word in words if word.endswith(".rs")]
         for name in (word for word in words if re.fullmatch(r"[A-Z][A-Z0-9_]+", word)):
             for file in files[:1]:
-                path = Path("crates") / file
+                path = next((it.relative_to(ROOT) for it in ROOT.glob(f"crates/*/{file}")), Path("crates/none/none") / file)
                 if file.startswith("robust/"):
-                    path = Path("crates/numerics/src") / file
+                    path = Path("crates/base/numerics/src") / file
                 text = (ROOT / path).read_text() if (ROOT / path).is_file() else ""
                 there = re.search(DEFINED.format(name=name), text, re.M)
                 is_number = there and re.fullmatch(rf"\[?({NUMBER}(, )?)+\]?", there[4])
-                of_the_finder = path.parts[1] in CRATES and (path.parts[1] != "machine" or "effect" in path.parts)
+                of_the_finder = path.parts[2] in CRATES and (path.parts[2] != "machine" or "effect" in path.parts)
                 if is_number and of_the_finder:
                     if is_part_of_a_type(name, path):
                         print(f"not moved: {name} of {path}", file=sys.stderr)
@@ -96,7 +96,7 @@ def is_part_of_a_type(name, path):
     """Whether the compiler has to know this number: the length of an array, part of a constant or of a text."""
     word = rf"(?<![\w`]){name}(?![\w`(])"
     of_type = re.compile(rf"; [^\]]*{word}[^\]]*\]|const (?!{name}\b).*{word}|{{{name}}}")
-    for file in (ROOT / "crates" / path.parts[1] / "src").rglob("*.rs"):
+    for file in (ROOT / Path(*path.parts[:3]) / "src").rglob("*.rs"):
         text = file.read_text()
         is_here = file == ROOT / path or re.search(rf"use [^;]*\b{path.stem}\b[^;]*{word}", text)
         if is_here and any(of_type.search(re.sub(r"vec!\[[^\]]*\]", "", line)) for line in text.splitlines()):
@@ -109,7 +109,7 @@ def ask_the_environment(threshold, is_alone):
     other has its name."""
     name, path = threshold.name, threshold.path
     word = re.compile(rf"(?<![\w`]){name}(?![\w`(])")
-    for file in sorted((COPY / "crates" / path.parts[1] / "src").rglob("*.rs")):
+    for file in sorted((COPY / Path(*path.parts[:3]) / "src").rglob("*.rs")):
         text = file.read_text()
         is_own = file == COPY / path
         imports = re.findall(r"^\s*(?:pub(?:\([a-z]+\))? )?use [^;]+;", text, re.M)
@@ -139,7 +139,7 @@ def build(thresholds):
     for it in thresholds:
         ask_the_environment(it, names.count(it.name) == 1)
     for crate in CRATES:
-        hook = COPY / "crates" / crate / "src/lib.rs"
+        hook = next(COPY.glob(f"crates/*/{crate}/src/lib.rs"))
         hook.write_text(hook.read_text() + HOOK)
     command = ["cargo", "test", "--release", "--no-run", "--message-format=json-render-diagnostics", "-p", "trueup-diagnose"]
     for test in TESTS:
@@ -157,7 +157,7 @@ def tried(programs, moved=""):
     for program in programs:
         env = {**os.environ, "TRUEUP_THRESHOLD": moved}
         command = [program, "--show-output"]
-        told = subprocess.run(command, cwd=COPY / "crates/diagnose", env=env, capture_output=True, text=True)
+        told = subprocess.run(command, cwd=COPY / "crates/analysis/diagnose", env=env, capture_output=True, text=True)
         if SKIPPED.search(told.stdout):
             sys.exit("the measured sets are missing: see docs/measured-data.md")
         failed += re.findall(r"^test (\S+) \.\.\. FAILED", told.stdout, re.M)

@@ -268,7 +268,7 @@ fn cantools_and_the_c_code_it_writes_read_and_write_every_message_as_the_codec_d
     let folder = tempfile::tempdir()?;
     let file = folder.path().join("frames.txt");
     fs::write(&file, lines)?;
-    let dbc = setup::root().join("crates/link/trueup.dbc");
+    let dbc = setup::root().join("crates/board/link/trueup.dbc");
     let found = script("dbc_codec.py", &[&dbc, &file, folder.path()])?;
     println!("{found}");
     let expected =

@@ -39,7 +39,7 @@ fn python_can_cantools_and_autosar_e2e_engage_it_and_read_every_frame() -> Resul
     let output = Command::new(python)
         .arg(setup::root().join("host-tests/python/cnc_client.py"))
         .arg(format!("socket://{}", bridge.address()))
-        .arg(setup::root().join("crates/link/trueup.dbc"))
+        .arg(setup::root().join("crates/board/link/trueup.dbc"))
         .stdin(Stdio::null())
         .output()?;
     let said = String::from_utf8_lossy(&output.stderr);

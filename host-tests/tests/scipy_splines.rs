@@ -4,7 +4,7 @@
 //! The figures that the documentation states are printed here
 //! (`cargo test -p trueup-host-tests --features emulator --test scipy_splines -- --show-output`).
 
-#[path = "../../crates/fit/tests/fit/support/guideway.rs"]
+#[path = "../../crates/analysis/fit/tests/fit/support/guideway.rs"]
 mod guideway;
 
 use std::{

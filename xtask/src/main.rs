@@ -238,7 +238,7 @@ struct Virtual {
 #[command(after_help = "For instance:\n  \
     cargo xtask chip                        then: trueup bridge info --port tcp:127.0.0.1:3333\n  \
     cargo xtask chip --ms 2000 --hse-dead   two seconds with a dead crystal, and the report\n\
-    All options of the model: crates/chip/README.md. TRUEUP_MACHINE=M.toml chooses the machine file.")]
+    All options of the model: crates/bench/chip/README.md. TRUEUP_MACHINE=M.toml chooses the machine file.")]
 struct ChipOptions {
     /// Options of the model. Without --ms it runs until Ctrl-C, without --serial on port 3333.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTION")]

@@ -1,4 +1,4 @@
-//! The boot program, unmodified, on the model of its chip (`crates/chip`), with small images in the slots
+//! The boot program, unmodified, on the model of its chip (`crates/bench/chip`), with small images in the slots
 //! (`src/bin/slot_test`): which one speaks, and after how long.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 

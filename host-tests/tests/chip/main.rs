@@ -1,4 +1,4 @@
-//! The flashable image, unmodified, on the model of its chip (`crates/chip`): healthy, and with each part
+//! The flashable image, unmodified, on the model of its chip (`crates/bench/chip`): healthy, and with each part
 //! dead that has a fall-back. The model knows the manuals and not the firmware, so what it finds counts.
 #![allow(clippy::print_stdout, reason = "a test prints its figures")]
 

@@ -113,7 +113,7 @@ fn python(script: &str, more: &[&OsStr]) -> Result<Option<Value>> {
 #[test]
 #[ignore = "long: a CNC's session, as slow as the model is"]
 fn python_can_cantools_and_autosar_e2e_engage_the_flashable_image() -> Result<()> {
-    let dbc = setup::root().join("crates/link/trueup.dbc");
+    let dbc = setup::root().join("crates/board/link/trueup.dbc");
     let Some(saw) = python("cnc_client.py", &[dbc.as_ref(), "--board-time".as_ref()])? else {
         return Ok(());
     };

@@ -212,7 +212,7 @@ fn the_page_is_what_the_list_says() {
 const HEAD: &str = "\
 # Faults of the flashable image
 
-Each of these COUNT faults is provoked in the image that is flashed, on the model of its chip (`crates/chip`), by
+Each of these COUNT faults is provoked in the image that is flashed, on the model of its chip (`crates/bench/chip`), by
 `cargo test -p trueup-host-tests --features emulator --test chip_faults -- --include-ignored`, and ends as its line says. The board was
 engaged before, where the fault does not come at the start. A board that starts anew is \"not available\" (quality 6) until it is engaged
 again, and `trueup bridge info` names the last column. Without a crystal there is no CAN, and an emergency comes before anybody has

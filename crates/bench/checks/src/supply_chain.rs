@@ -1,0 +1,139 @@
+//! Checks of what the project is built from: the compiler, and other people's crates.
+
+use std::{path::PathBuf, process::Command};
+
+use anyhow::{Context as _, Result, ensure};
+use trueup_emulator::{process, setup};
+
+use crate::{cargo, tally::Tally};
+
+/// Says which compiler this is, and that it is not older than `rust-version` in `Cargo.toml`.
+///
+/// # Errors
+/// It is older, or does not say what it is.
+pub fn compiler() -> Result<Tally> {
+    let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
+    let said = process::output(Command::new(rustc).arg("--version"))?;
+    let manifest = std::fs::read_to_string(setup::root().join("Cargo.toml"))?;
+    let oldest = manifest
+        .lines()
+        .find_map(|line| line.strip_prefix("rust-version = "))
+        .context("Cargo.toml states no rust-version")?
+        .trim_matches('"');
+    trueup_output::line(format_args!("{} ({oldest} or newer is needed)", said.trim()));
+    let version = said.split_whitespace().nth(1).unwrap_or_default();
+    ensure!(numbers(version) >= numbers(oldest), "this compiler is older than {oldest}");
+    Ok(Tally::passed(1))
+}
+
+/// Returns the two numbers that count: `1.95.0-beta.1` gives 1 and 95.
+fn numbers(version: &str) -> Option<(u32, u32)> {
+    let mut numbers = version.split('.').map(|number| number.parse().ok());
+    Some((numbers.next()??, numbers.next()??))
+}
+
+/// The version that `deny.toml` is written for.
+const DENY: &str = "0.20.2";
+
+/// Licences, sources and duplicates of the crates in the lock file, by `deny.toml`; known
+/// vulnerabilities where their database can be had.
+///
+/// # Errors
+/// A crate breaks a rule, or cargo-deny cannot be built.
+pub fn crates() -> Result<Tally> {
+    let deny = deny()?;
+    let check = |what: &[&str]| {
+        let mut command = Command::new(&deny);
+        command.args(["--locked", "check"]).args(what).current_dir(setup::root());
+        process::run(&mut command)
+    };
+    check(&["licenses", "bans", "sources"])?;
+    let mut model = Command::new(&deny);
+    model.args([
+        "--config",
+        "deny.toml",
+        "--manifest-path",
+        "crates/bench/chip/Cargo.toml",
+        "--locked",
+    ]);
+    model.args(["check", "licenses", "bans", "sources"]).current_dir(setup::root());
+    process::run(&mut model)?;
+    let mut tally = Tally::passed(1);
+    tally.add(match advisories()? {
+        Advisories::None(_) => Tally::passed(1),
+        // The world finds a hole on any day; that must not stop who has changed nothing.
+        Advisories::Known(said) => {
+            Tally::lack(&format!("cargo-deny advisories, to be looked at: {said}"))
+        }
+        Advisories::NotHad => Tally::lack(&format!("cargo-deny advisories: {NOT_HAD}")),
+    });
+    Ok(tally)
+}
+
+const NOT_HAD: &str = "their database cannot be had here";
+
+/// Known vulnerabilities of the crates in the lock file, by the advisories of the Rust project (RustSec).
+enum Advisories {
+    /// Nothing is known; what was said.
+    None(String),
+    /// There are some; what was said.
+    Known(String),
+    /// Their database cannot be had here.
+    NotHad,
+}
+
+fn advisories() -> Result<Advisories> {
+    let deny = deny()?;
+    let mut fetch = Command::new(&deny);
+    fetch.args(["fetch", "db"]).current_dir(setup::root());
+    if process::run(&mut fetch).is_err() {
+        return Ok(Advisories::NotHad);
+    }
+    let mut check = Command::new(&deny);
+    check.args(["--locked", "check", "--disable-fetch", "advisories"]).current_dir(setup::root());
+    Ok(match process::output(&mut check) {
+        Ok(said) => Advisories::None(said),
+        Err(error) => Advisories::Known(format!("{error:#}")),
+    })
+}
+
+/// Returns the known vulnerabilities as a paper of a release, and a sentence where they are not known.
+///
+/// # Errors
+/// cargo-deny cannot be built.
+pub fn known_vulnerabilities() -> Result<(String, Option<String>)> {
+    let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
+    // The place of the files on this computer is not handed out.
+    let plain = |said: String| said.replace(&setup::root().display().to_string(), "/trueup");
+    Ok(match advisories()? {
+        Advisories::None(said) => (format!("{head}: none.\n{}", plain(said)), None),
+        Advisories::Known(said) => {
+            let missing =
+                "vulnerabilities.txt lists advisories: decide on each before it is handed out";
+            (format!("{head}:\n{}\n", plain(said)), Some(missing.into()))
+        }
+        Advisories::NotHad => {
+            let lines = "cargo deny fetch db && cargo deny check advisories";
+            let text =
+                format!("{head}: not looked up, {NOT_HAD}. Where there is a network: {lines}\n");
+            (text, Some(format!("the known vulnerabilities are not looked up: {NOT_HAD}")))
+        }
+    })
+}
+
+/// cargo-deny, for the licences and sources of crates.
+fn deny() -> Result<PathBuf> {
+    cargo::tool("cargo-deny", DENY)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn versions_are_compared_by_number() {
+        assert!(numbers("1.100.0-nightly") > numbers("1.88"));
+        assert!(numbers("1.9.0") < numbers("1.88"));
+        assert_eq!(numbers("none"), None);
+    }
+}

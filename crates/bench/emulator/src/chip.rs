@@ -1,0 +1,212 @@
+//! The flashable image on the model of its chip (`crates/bench/chip`), a program of its own: its processor wants
+//! a newer compiler than the project does, so it is built apart and called.
+
+use std::{
+    ffi::OsStr,
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+};
+
+use anyhow::{Context as _, Result};
+use rustix::fs::{CWD, FileType, FlockOperation, Mode, flock, mknodat};
+
+use crate::{log::Decoder, process, setup};
+
+/// The oldest compiler that takes the model's processor, as its manifest says.
+pub const OLDEST: (u32, u32) = (1, 91);
+
+/// Returns a cargo command for the model: `cargo <verb>` in its own workspace, built into `target/chip`.
+#[must_use]
+pub fn cargo(verb: &str) -> Command {
+    let folder = setup::root().join("crates/bench/chip");
+    let mut command = process::cargo();
+    command.arg(verb).current_dir(&folder);
+    command.env("CARGO_TARGET_DIR", target());
+    command
+}
+
+fn target() -> PathBuf {
+    setup::root().join("target/chip")
+}
+
+/// Returns whether this compiler builds the model.
+///
+/// # Errors
+/// It does not say which it is.
+pub fn is_supported() -> Result<bool> {
+    let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
+    let said = process::output(Command::new(rustc).arg("--version"))?;
+    let version = said.split_whitespace().nth(1).unwrap_or_default();
+    let mut numbers = version.split('.').map_while(|number| number.parse().ok());
+    Ok(numbers.next().zip(numbers.next()) >= Some(OLDEST))
+}
+
+/// Builds the model, and gives the program; `None`: this compiler is too old for it.
+///
+/// # Errors
+/// It does not compile.
+pub fn build() -> Result<Option<PathBuf>> {
+    if !is_supported()? {
+        return Ok(None);
+    }
+    std::fs::create_dir_all(target())?;
+    let lock = File::create(target().join("lock"))?;
+    flock(&lock, FlockOperation::LockExclusive)?;
+    process::run(cargo("build").args(["--locked", "--quiet"]))?;
+    Ok(Some(target().join("debug/trueup-chip")))
+}
+
+/// The result of a run of the model.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// Whether nothing was done that silicon would not do.
+    pub clean: bool,
+    /// The model's standard output: the traffic on the wires, and its report.
+    pub said: String,
+    /// The image's log, decoded.
+    pub log: Vec<String>,
+    /// The board's traffic on its wires and its resets, a line an event: the time in ms, then
+    /// `can ID HEX`, `serial LINE` or `reset WHY`.
+    pub events: Vec<String>,
+}
+
+/// Runs an image on the model to the end of the time that the options say.
+///
+/// # Errors
+/// The model cannot be started, or refuses an option.
+pub fn run<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
+    let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
+    let raw = folder.path().join("log");
+    let mut report = run_with(model, image, options, Some(&raw))?;
+    Decoder::of(image)?.follow(File::open(raw)?, |line| report.log.push(line))?;
+    Ok(report)
+}
+
+/// The same for an image that logs nothing.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_silent<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Report> {
+    run_with(model, image, options, None)
+}
+
+/// Runs it; its raw log goes to that file.
+fn run_with<S: AsRef<OsStr>>(
+    model: &Path,
+    image: &Path,
+    options: &[S],
+    log: Option<&Path>,
+) -> Result<Report> {
+    let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
+    let mut command = Command::new(model);
+    let events = folder.path().join("events");
+    command.arg(image).args(options).arg("--log").arg(&events);
+    if let Some(log) = log {
+        command.arg("--rtt").arg(log);
+    }
+    command.stdin(Stdio::null());
+    let output = command.output().context("cannot start the model of the chip")?;
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    anyhow::ensure!(
+        output.status.code().is_some_and(|code| code < 2),
+        "`{}` failed: {}",
+        process::line(&command),
+        complaint.trim()
+    );
+    let events = std::fs::read_to_string(events)?.lines().map(Into::into).collect();
+    Ok(Report { clean: output.status.success(), said, log: Vec::new(), events })
+}
+
+/// Runs an image for a user: its log on this program's standard output as it comes, everything else as
+/// the model prints it.
+///
+/// # Errors
+/// The model cannot be started.
+pub fn show<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<bool> {
+    let folder = tempfile::Builder::new().prefix("trueup-").tempdir()?;
+    let pipe = folder.path().join("log");
+    mknodat(CWD, &pipe, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)
+        .context("cannot make a pipe")?;
+    // Open both ways until the model has opened its end, so that nobody waits for ever.
+    let held = File::options().read(true).write(true).open(&pipe)?;
+    let mut command = Command::new(model);
+    let mut child: Child = command
+        .arg(image)
+        .args(options)
+        .arg("--rtt")
+        .arg(&pipe)
+        .stdin(Stdio::null())
+        .spawn()
+        .context("cannot start the model of the chip")?;
+    let source = File::open(&pipe)?;
+    let decoder = Decoder::of(image)?;
+    let follower = std::thread::spawn(move || {
+        decoder.follow(source, trueup_output::line).err().inspect(|error| {
+            trueup_output::diagnostic(format_args!("the log ends: {error:#}"));
+        })
+    });
+    let status = child.wait()?;
+    drop(held);
+    follower.join().expect("it does not panic");
+    Ok(status.success())
+}
+
+/// A running model, ended with its owner, and the port of one of its lines.
+pub struct Line {
+    child: Child,
+    /// Where the line listens on this machine.
+    pub port: u16,
+}
+
+impl Line {
+    /// Starts an image whose serial line is a TCP port.
+    ///
+    /// # Errors
+    /// The model cannot be started, or ends at once.
+    pub fn start<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
+        Self::start_at("--serial", model, image, options)
+    }
+
+    /// Starts the same, with the RS-485 line for a PLC.
+    ///
+    /// # Errors
+    /// As [`Self::start`].
+    pub fn start_plc<S: AsRef<OsStr>>(model: &Path, image: &Path, options: &[S]) -> Result<Self> {
+        Self::start_at("--modbus", model, image, options)
+    }
+
+    fn start_at<S: AsRef<OsStr>>(
+        line: &str,
+        model: &Path,
+        image: &Path,
+        options: &[S],
+    ) -> Result<Self> {
+        let mut command = Command::new(model);
+        command.arg(image).args([line, "0"]).args(options);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+        let mut child = command.spawn().context("cannot start the model of the chip")?;
+        let mut source = child.stdout.take().context("its output was asked for")?;
+        let mut first = Vec::new();
+        let mut byte = [0];
+        while source.read(&mut byte)? == 1 && byte[0] != b'\n' {
+            first.push(byte[0]);
+        }
+        // What it prints at its end must find a reader.
+        std::thread::spawn(move || std::io::copy(&mut source, &mut std::io::sink()));
+        let first = String::from_utf8_lossy(&first);
+        let port = first.rsplit(':').next().and_then(|port| port.trim().parse().ok());
+        let port = port.with_context(|| format!("the model says no port, but {first:?}"))?;
+        Ok(Self { child, port })
+    }
+}
+
+impl Drop for Line {
+    fn drop(&mut self) {
+        // It may have ended already; there is nothing else to do about a failure here.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}

@@ -1,0 +1,163 @@
+//! The simulator tried on itself: faults planted in the code one by one, each in a copy of it, and each
+//! has to be found.
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+};
+
+/// Where, what is replaced, and by what.
+const PLANTED: [(&str, &str, &str); 20] = [
+    (
+        "core/src/limits.rs",
+        "Reach::of(limits.slew_nm_per_s, elapsed_ms)",
+        "Reach::of(limits.slew_nm_per_s.saturating_mul(2), elapsed_ms)",
+    ),
+    (
+        "core/src/bridge/sources.rs",
+        "Some(ElongationSource::Temperature) => Quality::TemperatureModel,",
+        "Some(ElongationSource::Temperature) => Quality::Live,",
+    ),
+    ("core/src/bridge.rs", "Mode::Hold => {}", "Mode::Hold => state.applied = Default::default(),"),
+    (
+        "core/src/bridge.rs",
+        "status = state.applied.step(limits, [Nanometres::ZERO; 3], elapsed_ms);",
+        "status = state.applied.step(limits, [Nanometres::ZERO; 3], 1 << 30);",
+    ),
+    (
+        "core/src/bridge.rs",
+        "offset: (quality != Quality::Fault).then(|| state.applied.offset()),",
+        "offset: Some(state.applied.offset()),",
+    ),
+    ("core/src/bridge.rs", ".rounded().negated());", ".rounded());"),
+    ("core/src/bridge.rs", "state.believable = clean.is_some();", "state.believable = true;"),
+    (
+        "core/src/bridge/state.rs",
+        "self.inhibited = inhibited;",
+        "self.inhibited = inhibited & false;",
+    ),
+    ("core/src/bridge/state.rs", "        self.starved_age = Age::NEW;\n", ""),
+    (
+        "core/src/bridge/state.rs",
+        "if self.age.is_above(timeout_ms) { None }",
+        "if self.age.is_above(timeout_ms.saturating_mul(4)) { None }",
+    ),
+    (
+        "core/src/bridge/state.rs",
+        "!age.is_above(hold_ms)",
+        "!age.is_above(hold_ms.saturating_mul(3))",
+    ),
+    (
+        "core/src/bridge/sources.rs",
+        "state.joint.shift = Nanometres::saturating(shift);",
+        "state.joint.shift = Nanometres::saturating(shift.wrapping_mul(0));",
+    ),
+    (
+        "core/src/health.rs",
+        "pub const HIGH_RAIL: Code = Code(4087);",
+        "pub const HIGH_RAIL: Code = Code(5087);",
+    ),
+    (
+        "core/src/health.rs",
+        "pub const FROZEN_AFTER_CODES: u16 = 4_000;",
+        "pub const FROZEN_AFTER_CODES: u16 = 60_000;",
+    ),
+    (
+        "link/src/frames.rs",
+        "OFFSET_Z.insert(&mut data, z);",
+        "OFFSET_Z.insert(&mut data, z.wrapping_add(1));",
+    ),
+    ("store/src/retained.rs", "    crc::seal(copy);\n", ""),
+    (
+        "node/src/node.rs",
+        "frames::offset_z(&output, counter)]",
+        "frames::offset_z(&output, counter.wrapping_add(1))]",
+    ),
+    ("node/src/node/restart.rs", "if behind_ms < elapsed_ms {", "if behind_ms < u32::MAX {"),
+    (
+        "node/src/node/master.rs",
+        "self.is_started |= self.released >= STEADY && !self.is_doubtful;",
+        "self.is_started = true;",
+    ),
+    (
+        "node/src/node/master.rs",
+        "if self.run == STEADY { Asked::Yes } else { Asked::No }",
+        "if self.run == 1 { Asked::Yes } else { Asked::No }",
+    ),
+];
+
+/// Where they are.
+const ROOM: &str = "crates/board";
+
+const CRATES: [&str; 5] = ["core", "link", "canopen", "store", "node"];
+
+fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("a folder of ours");
+    for entry in fs::read_dir(from).expect("the project's own folder").flatten() {
+        let (name, path) = (entry.file_name(), entry.path());
+        if path.is_dir() {
+            copy(&path, &to.join(name));
+        } else {
+            fs::copy(&path, to.join(name)).expect("a file of ours");
+        }
+    }
+}
+
+/// Returns whether the simulator passes on the code in this folder; what it said.
+fn passes(folder: &Path) -> (bool, String) {
+    let run = |arguments: &[&str]| {
+        Command::new(env!("CARGO"))
+            .args(["test", "--offline", "-p", "trueup-node", "--test", "simulator"])
+            .args(arguments)
+            .current_dir(folder)
+            .env("CARGO_TARGET_DIR", folder.join("target"))
+            .stdin(Stdio::null())
+            .output()
+            .expect("cargo runs")
+    };
+    let built = run(&["--no-run"]);
+    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
+    let ran = run(&["whatever"]);
+    (ran.status.success(), String::from_utf8_lossy(&ran.stdout).into_owned())
+}
+
+#[test]
+#[ignore = "campaign: cargo test -p trueup-node --test planted -- --ignored --nocapture"]
+fn campaign_every_planted_fault_is_found_by_the_simulator() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("planted");
+    if folder.exists() {
+        fs::remove_dir_all(folder.join(ROOM)).expect("a folder of ours");
+    }
+    for name in CRATES {
+        copy(&root.join(ROOM).join(name), &folder.join(ROOM).join(name));
+    }
+    let whole = fs::read_to_string(root.join("Cargo.toml")).expect("the workspace");
+    // The workspace without the rest of it.
+    let deps =
+        whole.split("[workspace.package]").nth(1).and_then(|it| it.split("[package]").next());
+    let members = CRATES.map(|name| format!("\"{ROOM}/{name}\"")).join(", ");
+    let own = format!(
+        "[workspace]\nresolver = \"3\"\nmembers = [{members}]\n[workspace.package]{}\n\
+         [profile.dev]\nopt-level = 1\n",
+        deps.expect("in its order")
+    );
+    fs::write(folder.join("Cargo.toml"), own).expect("a folder of ours");
+    fs::copy(root.join("Cargo.lock"), folder.join("Cargo.lock")).expect("a folder of ours");
+    let (is_sound, said) = passes(&folder);
+    assert!(is_sound, "without a fault: {said}");
+    let mut missed = Vec::new();
+    for (number, (file, from, to)) in (1..).zip(PLANTED) {
+        let path = folder.join(ROOM).join(file);
+        let sound = fs::read_to_string(&path).expect("it was copied");
+        assert!(sound.contains(from), "{number}: {file} has no {from}");
+        fs::write(&path, sound.replacen(from, to, 1)).expect("a folder of ours");
+        let (is_missed, said) = passes(&folder);
+        let why = said.lines().find(|line| line.contains("seed ")).unwrap_or("not as it was");
+        println!("{number:2} {file}: {}", if is_missed { "MISSED" } else { why.trim() });
+        missed.extend(is_missed.then_some(number));
+        fs::write(&path, sound).expect("a folder of ours");
+    }
+    assert!(missed.is_empty(), "not found: {missed:?}");
+}
