@@ -70,6 +70,8 @@ fn main() -> ! {
     tick(&calibration, ["tick", "hear", "millisecond", "live"], COSTS, &mut text);
     let names = ["tick_by_tool", "hear_by_tool", "millisecond_by_tool", "live_by_tool"];
     tick(&by_tool, names, COSTS, &mut text);
+    let names = ["tick_volume", "hear_volume", "millisecond_volume", "live_volume"];
+    tick(&with_volume(&calibration), names, COSTS, &mut text);
     parts(&calibration, COSTS, &mut text);
     for curve in curves.straightness.iter().filter(|curve| !curve.is_empty()) {
         spline(curve, COSTS, &mut text);
@@ -305,8 +307,8 @@ fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
     parts_of_volume(calibration, part);
 }
 
-/// Measures the same with all nine angles as curves and two rotary axes under the workpiece, the most there can be.
-fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
+/// Returns the calibration with all nine angles as curves and two rotary axes under the workpiece, the most there can be.
+fn with_volume<'c>(calibration: &Calibration<'c>) -> Calibration<'c> {
     let [a, b, c, d, e, f] = calibration.straightness;
     let line = |axis, tilt| RotaryLocation {
         axis,
@@ -325,7 +327,12 @@ fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
         tool: [Position(-10_000_000); 3],
         rotary: [Some(line(RotaryAxis::A, 500)), Some(line(RotaryAxis::C, -700))],
     };
-    let calibration = Calibration { volume: Some(volume), ..*calibration };
+    Calibration { volume: Some(volume), ..*calibration }
+}
+
+/// Measures the same with a volume.
+fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
+    let calibration = with_volume(calibration);
     let heat = Heat::default();
     let mut at = Place::default();
     let mut cached = CachedErrors::at(&calibration, &heat, &at);

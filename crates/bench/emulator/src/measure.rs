@@ -94,6 +94,7 @@ pub fn run(vectors: u32) -> Result<Measured> {
         "tick_by_tool_instructions": spread("tick_by_tool")?,
         "hear_instructions": spread("hear")?,
         "millisecond_instructions": spread("millisecond")?,
+        "millisecond_volume_instructions": spread("millisecond_volume")?,
         "parts": {
             "filter_per_sample": per_sample,
             "health": at("health", 1)?,
