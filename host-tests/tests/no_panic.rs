@@ -18,10 +18,10 @@ fn entries(board: Board) -> &'static [&'static str] {
     match board {
         Board::Stm32f405 => {
             const PLC: [&str; 3] =
-                ["Node$GT$4said", "Node$GT$10hear_block", "Node$GT$10hear_value"];
-            &["4Node4tick", "4Node4hear", "4Node7service", PLC[0], PLC[1], PLC[2]]
+                ["Node$GT$4said", "Node$GT$13receive_block", "Node$GT$13receive_value"];
+            &["4Node4tick", "4Node7receive", "4Node7service", PLC[0], PLC[1], PLC[2]]
         }
-        Board::Virtual => &["4Node4tick", "4Node4hear", "4Node7service"],
+        Board::Virtual => &["4Node4tick", "4Node7receive", "4Node7service"],
     }
 }
 
