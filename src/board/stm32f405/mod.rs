@@ -205,6 +205,8 @@ pub fn start(
         adc: device.ADC1,
         dma: device.DMA2,
     };
+    // Before samples are taken: its registers take 0.3 ms, by which the first tick would be late.
+    watchdog.tighten();
     let samples = sampling::start(chain, gpioa.pa0, &device.ADC_COMMON, &mut rcc);
     // After the first converter's, because a reset is for all of them.
     if known.iter().flatten().any(|it| matches!(it, Thermometer::Linear { .. })) {
@@ -216,7 +218,6 @@ pub fn start(
     }
     let serial_number = identity::hash(&device.DBGMCU);
     start_supervisor_clock(&mut core.SYST, rcc.clocks.hclk().raw());
-    watchdog.tighten();
     Parts {
         samples,
         serial_in,
