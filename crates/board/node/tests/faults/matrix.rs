@@ -99,7 +99,7 @@ fn cell(part: Part, kind: Kind, state: State) -> String {
 
 const HEAD: &str = "# Fault matrix
 
-WriteKind a bridge does when an input fails, in every state: after how many milliseconds it is told and as which emergency, the
+What a bridge does when an input fails, in every state: after how many milliseconds it is told and as which emergency, the
 quality after 10 s of the fault, and the largest difference from the offset of a bridge without the fault in these 10 s (on
 X or Z; slew limit 20 µm/s; where no offset is available, from 0). Made and compared by a test:
 `TRUEUP_WRITE_MATRIX=1 cargo test -p trueup-node --test faults matrix -- --ignored` writes it.

@@ -176,7 +176,7 @@ impl Work<'_> {
 
 fn left_behind(file: &str, port: &str) -> String {
     format!(
-        "the bridge may still hold the sign test's calibration, which gives 10 µm: do not cut with it. Procedure it held \
+        "the bridge may still hold the sign test's calibration, which gives 10 µm: do not cut with it. What it held \
          before is put back by: trueup bridge restore {file} --port {port}"
     )
 }
