@@ -34,7 +34,7 @@
 //! longest, 110 µs on 16 MHz, each time for the log: only a PLC at 115 200 Bd may lose a byte by that, and only on
 //! 16 MHz, and the serial line where its DMA is dead.
 //!
-//! Each task says when it begins and ends a turn ([`alive`]); the watchdog is fed by that. The tasks are the same on
+//! Each task says when it begins and ends a turn ([`liveness`]); the watchdog is fed by that. The tasks are the same on
 //! every board; what a board is, is behind [`board`]. The computation of the bridge is in `trueup-core`, its messages
 //! are in `trueup-link`, both tested on the host.
 #![no_std]

@@ -11,7 +11,7 @@
 //! | [`constants`] | constants with their errors, out of a diagnosis |
 //! | [`structure`] | one structure of the model for all machines |
 //! | [`pool`] | one constant on many machines: mean, spread, shrunk values |
-//! | [`odd`] | a machine that is unlike the others |
+//! | [`anomalous`] | a machine that is unlike the others |
 //! | [`drift`] | a constant of one machine over its days |
 //! | `causes`, `next` | a cause over the series; which machine to measure next |
 //! | [`record`] | a result of one machine as the series takes it |
