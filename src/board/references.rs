@@ -11,8 +11,8 @@ use trueup_store::{
 };
 
 /// Opens the store, makes room in it, and gives what it holds for the start. An erase may be needed
-/// for that, so this is for the time before samples are taken. `feed` is for the watchdog: full sectors take 50 ms to
-/// read at 168 MHz, and 0.6 s at 16 MHz.
+/// for that, so this is for the time before samples are taken. `feed` is for the watchdog: at 16 MHz full
+/// sectors take longer to read than the fastest one waits (host-tests, `boot_program` `the_longest_start`).
 pub fn open<F: NorFlash>(
     flash: F,
     calibration: u32,

@@ -86,7 +86,7 @@ impl Watchdog {
     }
 
     /// The core has 16 MHz and not 144 or more: the limit of the boot program, 0.54…0.80…1.51 s, because the
-    /// two stores take 0.5 s to read when they are full.
+    /// two stores are read as slowly.
     pub fn slow_down(&mut self) {
         limit::set(&self.0, limit::CHOICE);
     }
