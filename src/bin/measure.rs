@@ -303,6 +303,7 @@ fn parts_of_axes(calibration: &Calibration<'_>, part: &mut Part<'_>) {
         let axis = LinearAxis::ALL[random.below(3) as usize];
         cost(&mut || cached.moved(calibration, &heat, &at, axis))
     });
+    part("added_up", &mut |_| cost(&mut || cached.add_up(calibration, &at)));
     black_box(cached.errors());
     parts_of_volume(calibration, part);
 }
@@ -345,6 +346,7 @@ fn parts_of_volume(calibration: &Calibration<'_>, part: &mut Part<'_>) {
         at.angles = [180_000_000; 2].map(|most| MicroDegrees(random.around(most)));
         cost(&mut || cached.turned(&calibration, &at))
     });
+    part("added_up_volume", &mut |_| cost(&mut || cached.add_up(&calibration, &at)));
     black_box(cached.errors());
 }
 

@@ -102,6 +102,8 @@ pub fn run(vectors: u32) -> Result<Measured> {
             "moved": at("moved", 1)?,
             "moved_volume": at("moved_volume", 1)?,
             "turned_volume": at("turned_volume", 1)?,
+            "added_up": at("added_up", 1)?,
+            "added_up_volume": at("added_up_volume", 1)?,
             "elongation": at("elongation", 1)?,
             "thermal": at("thermal", 1)?,
             "straightness6": at("straightness6", 1)?,

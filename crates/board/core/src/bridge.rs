@@ -406,26 +406,38 @@ impl<'a> Bridge<'a> {
     #[inline]
     fn axis_errors(&self, state: &mut State) -> ErrorSums {
         match &state.axes {
-            Some((_, sums)) => *sums,
-            None => self.first_axis_errors(state),
+            Some((_, Some(sums))) => *sums,
+            _ => self.add_up_errors(state),
         }
     }
 
     #[cold]
     #[inline(never)]
-    fn first_axis_errors(&self, state: &mut State) -> ErrorSums {
-        let errors = CachedErrors::at(&self.calibration, &state.heat, &state.place);
-        let sums = errors.errors().sums(self.largest);
-        state.axes = Some((errors, sums));
-        sums
+    fn add_up_errors(&self, state: &mut State) -> ErrorSums {
+        let place = &state.place;
+        let (errors, kept) = state.axes.get_or_insert_with(|| {
+            (CachedErrors::at(&self.calibration, &state.heat, place), None)
+        });
+        *kept.insert(self.sums(errors, place))
+    }
+
+    fn sums(&self, errors: &mut CachedErrors, place: &Place) -> ErrorSums {
+        errors.add_up(&self.calibration, place);
+        errors.errors().sums(self.largest)
     }
 
     /// Applies a change in an input of the errors to the cached ones. Before they are first asked for nothing is kept.
+    ///
+    /// Those of a volume are added up by the tick that asks for them, once however many messages came before it;
+    /// without one that is done here, and the tick has none of it.
     #[inline]
     fn update(&self, state: &mut State, change: impl FnOnce(&mut CachedErrors, &Heat, &Place)) {
         if let Some((errors, sums)) = &mut state.axes {
             change(errors, &state.heat, &state.place);
-            *sums = errors.errors().sums(self.largest);
+            *sums = match &self.calibration.volume {
+                None => Some(self.sums(errors, &state.place)),
+                Some(_) => None,
+            };
         }
     }
 

@@ -18,10 +18,11 @@ use crate::{
     gradient::Gradient,
     heat::Heat,
     place::Place,
+    set::IndexSet,
     term,
     travel::backlash,
     units::{Fine, Position},
-    volume::{CachedVolume, Volume},
+    volume::CachedVolume,
 };
 
 /// The errors of one axis at a place, part by part.
@@ -84,25 +85,43 @@ impl Errors {
 }
 
 /// The errors at a place, cached from message to message: what an axis that moves or a thermometer
-/// does not change is not computed again.
+/// does not change is not computed again. [`Self::add_up`] makes [`Self::errors`] of the parts.
 ///
-/// The parts that depend on one axis cost 554 instructions on the gantry of `data/`, with two or three
+/// The parts that depend on one axis cost MOVED instructions on the gantry of `data/`, with two or three
 /// curves and tables (`cargo measure`).
 #[derive(Clone, Debug, Default)]
 pub struct CachedErrors {
     errors: Errors,
-    positioning_outside: [bool; 3],
-    guides: [Guide; 6],
+    /// The tables that a position lies outside of: those of the positioning from [`POSITIONING`] on, of
+    /// the guides from [`GUIDES`] on, of the angles from [`ANGLES`] on, and [`TERMS`].
+    outside: IndexSet,
+    /// Straightness and squareness, in the order of [`AXIS_PAIRS`].
+    guides: [Fine; 6],
     volume: CachedVolume,
 }
 
-/// The contribution of a guide to the error across it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Guide {
-    straightness: Fine,
-    squareness: Fine,
-    outside: bool,
-}
+const POSITIONING: usize = 0;
+const GUIDES: usize = 3;
+const ANGLES: usize = 9;
+const TERMS: usize = 12;
+
+/// Of X, Y and Z: the two places in [`AXIS_PAIRS`] where the axis is the one that moves.
+const GUIDES_OVER: [[usize; 2]; 3] = {
+    let mut over = [[0; 2]; 3];
+    let (mut axis, mut pair) = (0, 0);
+    while axis < over.len() {
+        let mut found = 0;
+        while pair < AXIS_PAIRS.len() {
+            if AXIS_PAIRS[pair].1 as usize == axis {
+                over[axis][found] = pair;
+                found += 1;
+            }
+            pair += 1;
+        }
+        (axis, pair) = (axis + 1, 0);
+    }
+    over
+};
 
 impl Calibration<'_> {
     /// Returns the errors of the axes at a place.
@@ -113,20 +132,19 @@ impl Calibration<'_> {
 }
 
 impl CachedErrors {
-    /// Returns the errors at a place.
+    /// Returns the errors at a place, added up.
     #[must_use]
     pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
         let mut cached = Self::default();
-        if let Some(volume) = &calibration.volume {
-            cached.volume.turned(volume, place);
-        }
+        cached.turned(calibration, place);
         for axis in LinearAxis::ALL {
             cached.moved(calibration, heat, place, axis);
         }
+        cached.add_up(calibration, place);
         cached
     }
 
-    /// Returns the errors that are cached.
+    /// Returns the errors as they were last added up.
     #[must_use]
     pub fn errors(&self) -> &Errors {
         &self.errors
@@ -141,35 +159,36 @@ impl CachedErrors {
         moved: LinearAxis,
     ) {
         self.warmed(calibration, heat, place, moved);
-        let positionings = self.errors.axes.iter_mut().zip(&mut self.positioning_outside);
-        for (((error, outside), name), axis) in
-            positionings.zip(LinearAxis::ALL).zip(&calibration.axes)
-        {
+        for (name, axis) in LinearAxis::ALL.into_iter().zip(&calibration.axes) {
             // A beam's error changes where it is crossed, too.
             if name == moved || axis.dual.is_some_and(|dual| dual.across == moved) {
-                (error.positioning, *outside) = positioning(axis, name, place);
+                let (error, outside) = positioning(axis, name, place);
+                let number = name as usize;
+                if let Some(of_axis) = self.errors.axes.get_mut(number) {
+                    of_axis.positioning = error;
+                }
+                self.outside.set(POSITIONING.wrapping_add(number), outside);
             }
         }
         let position = place.of(moved);
-        for (((guide, (_, over)), curve), gradient) in self
-            .guides
-            .iter_mut()
-            .zip(AXIS_PAIRS)
-            .zip(&calibration.straightness)
-            .zip(calibration.squareness)
-        {
-            if over == moved {
+        for &number in GUIDES_OVER.get(moved as usize).into_iter().flatten() {
+            if let (Some(guide), Some(curve), Some(gradient)) = (
+                self.guides.get_mut(number),
+                calibration.straightness.get(number),
+                calibration.squareness.get(number),
+            ) {
                 let (straightness, outside) = curve.at(position);
                 // Most machines are square, or not measured.
-                let is_square = gradient == Gradient::ZERO;
-                let squareness =
-                    if is_square { Fine::ZERO } else { gradient.over(Position(0), position) };
-                *guide = Guide { straightness, squareness, outside };
+                *guide = match *gradient {
+                    Gradient::ZERO => straightness,
+                    gradient => straightness.plus(gradient.over(Position(0), position)),
+                };
+                self.outside.set(GUIDES.wrapping_add(number), outside);
             }
         }
-        self.add_guides();
         if let Some(volume) = &calibration.volume {
-            self.volume_moved(volume, place, moved);
+            let outside = self.volume.moved(volume, position, moved);
+            self.outside.set(ANGLES.wrapping_add(moved as usize), outside);
         }
         self.terms_changed(calibration, heat, place);
     }
@@ -178,49 +197,36 @@ impl CachedErrors {
     pub fn turned(&mut self, calibration: &Calibration<'_>, place: &Place) {
         if let Some(volume) = &calibration.volume {
             self.volume.turned(volume, place);
-            self.add_guides();
-            self.add_volume();
         }
     }
 
-    #[inline]
-    fn add_guides(&mut self) {
+    /// Adds the parts up after axes have moved, rotary axes turned or terms changed.
+    pub fn add_up(&mut self, calibration: &Calibration<'_>, place: &Place) {
         // Two guides an axis, in the order of `AXIS_PAIRS`.
-        for (error, pair) in self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0) {
-            error.guides = pair
-                .iter()
-                .fold(Fine::ZERO, |sum, guide| sum.plus(guide.straightness).plus(guide.squareness));
+        for (error, [first, second]) in
+            self.errors.axes.iter_mut().zip(self.guides.as_chunks::<2>().0)
+        {
+            error.guides = first.plus(*second);
         }
-    }
-
-    // Apart, so that it costs nothing where there is none.
-    #[inline(never)]
-    fn volume_moved(&mut self, volume: &Volume<'_>, place: &Place, moved: LinearAxis) {
-        self.volume.moved(volume, place, moved);
-        self.add_volume();
-    }
-
-    fn add_volume(&mut self) {
-        for (error, of_volume) in self.errors.axes.iter_mut().zip(self.volume.errors()) {
-            error.guides = error.guides.plus(of_volume);
+        if let Some(volume) = &calibration.volume {
+            let of_volume = self.volume.errors(volume, place);
+            for (error, of_volume) in self.errors.axes.iter_mut().zip(of_volume) {
+                error.guides = error.guides.plus(of_volume);
+            }
         }
+        self.errors.outside = self.outside != IndexSet::default();
     }
 
     /// An axis has moved, or a thermometer that a term follows has been read.
     pub fn terms_changed(&mut self, calibration: &Calibration<'_>, heat: &Heat, place: &Place) {
-        let mut outside = false;
         // Most machines have none.
         if calibration.terms[0].is_some() {
-            let terms;
-            (terms, outside) = term::axis_errors(&calibration.terms, heat.terms(), place);
+            let (terms, outside) = term::axis_errors(&calibration.terms, heat.terms(), place);
             for (error, term) in self.errors.axes.iter_mut().zip(terms) {
                 error.terms = term;
             }
+            self.outside.set(TERMS, outside);
         }
-        self.errors.outside = outside
-            || self.positioning_outside.contains(&true)
-            || self.guides.iter().any(|guide| guide.outside)
-            || calibration.volume.is_some() && self.volume.is_outside();
     }
 
     /// An axis has become warmer or colder.
@@ -332,6 +338,7 @@ mod tests {
         ] {
             place.position = positions.map(Position);
             cached.moved(&calibration, &heat, &place, moved);
+            cached.add_up(&calibration, &place);
             let errors = cached.errors();
             assert!((errors.axes[0].positioning.0 - error).abs() <= 1, "{positions:?}: {errors:?}");
             assert_eq!((errors.outside, errors.axes[1].positioning), (outside, Fine(0)));

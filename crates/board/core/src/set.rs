@@ -31,6 +31,11 @@ impl IndexSet {
         self.0 &= !Self::bit(number);
     }
 
+    /// Takes a number in, or out.
+    pub fn set(&mut self, number: usize, is_in: bool) {
+        if is_in { self.insert(number) } else { self.remove(number) }
+    }
+
     /// Returns the numbers of both.
     #[must_use]
     pub const fn and(self, other: Self) -> Self {

@@ -273,37 +273,21 @@ impl Volume<'_> {
     }
 }
 
-/// The errors of a volume at a place, kept from message to message.
+/// What the errors of a volume are made of at a place, kept from message to message. They are multiplied by their levers
+/// when they are asked for, however many axes have moved since.
 #[derive(Clone, Debug, Default)]
 pub struct CachedVolume {
     /// Of X, Y and Z, about X, Y and Z.
     angles: [[Fine; 3]; 3],
-    outside: [bool; 3],
     /// From the points of X, Y and Z to the tip, with all positions at 0.
     arms: [Vector; 3],
     tip: Vector,
     of_tool: Vector,
     /// Shift at machine zero, and tilt.
     of_table: (Vector, [Fine; 3]),
-    /// The error by the angles of X, Y and Z.
-    of_guides: [Vector; 3],
-    errors: Vector,
 }
 
 impl CachedVolume {
-    /// Returns the error along X, Y and Z.
-    #[must_use]
-    #[inline]
-    pub fn errors(&self) -> [Fine; 3] {
-        self.errors.map(Fine)
-    }
-
-    /// Returns whether a position lies outside a curve, whose end value is held.
-    #[must_use]
-    pub fn is_outside(&self) -> bool {
-        self.outside.contains(&true)
-    }
-
     /// The rotary axes have turned to where they stand in `place`.
     pub fn turned(&mut self, volume: &Volume<'_>, place: &Place) {
         (self.tip, self.of_tool) = volume.tip(place);
@@ -311,69 +295,52 @@ impl CachedVolume {
         for (arm, guide) in self.arms.iter_mut().zip(&volume.guides) {
             *arm = minus(self.tip, vector(guide.point));
         }
-        for axis in LinearAxis::ALL {
-            self.step_guide(volume, place, axis);
-        }
-        self.add_up(place);
     }
 
-    /// An axis has moved to where it stands in `place`.
-    pub fn moved(&mut self, volume: &Volume<'_>, place: &Place, moved: LinearAxis) {
+    /// An axis has moved. Returns whether it stands outside a curve, whose end value is held.
+    pub fn moved(&mut self, volume: &Volume<'_>, position: Position, moved: LinearAxis) -> bool {
         let number = moved as usize;
-        if let (Some(guide), Some(angles), Some(outside)) =
-            (volume.guides.get(number), self.angles.get_mut(number), self.outside.get_mut(number))
-        {
-            let position = place.of(moved);
-            *outside = false;
-            for (angle, about) in angles.iter_mut().zip(&guide.about) {
-                let (at, is_held) = about.at(position);
-                *angle = at;
-                *outside |= is_held;
-            }
+        let (Some(guide), Some(angles)) = (volume.guides.get(number), self.angles.get_mut(number))
+        else {
+            return false;
+        };
+        let mut outside = false;
+        for (angle, about) in angles.iter_mut().zip(&guide.about) {
+            let (at, is_held) = about.at(position);
+            *angle = at;
+            outside |= is_held;
         }
-        for axis in LinearAxis::ALL {
-            // Another guide errs by its lever alone.
-            if axis == moved || volume.chain.is_in_lever(axis, moved) {
-                self.step_guide(volume, place, axis);
-            }
-        }
-        self.add_up(place);
+        outside
     }
 
-    /// Computes what the angles of an axis make at its present lever.
-    fn step_guide(&mut self, volume: &Volume<'_>, place: &Place, axis: LinearAxis) {
-        let number = axis as usize;
-        let (Some(angles), Some(arm), Some(error), Some(bits)) = (
-            self.angles.get(number),
-            self.arms.get(number),
-            self.of_guides.get_mut(number),
-            volume.chain.levers.get(number),
-        ) else {
-            return;
-        };
-        if *angles == [Fine::ZERO; 3] {
-            *error = [0; 3];
-            return;
+    /// Returns the errors along X, Y and Z.
+    #[must_use]
+    pub fn errors(&self, volume: &Volume<'_>, place: &Place) -> [Fine; 3] {
+        let mut errors = self.of_tool;
+        let guides = self.angles.iter().zip(&self.arms).zip(volume.chain.levers);
+        for (((angles, arm), levers), axis) in guides.zip(LinearAxis::ALL) {
+            if *angles == [Fine::ZERO; 3] {
+                continue;
+            }
+            let travelled = |bit: u8, arm: i32, position: Position| {
+                if levers & bit == 0 { arm } else { arm.saturating_add(position.0) }
+            };
+            let ([x, y, z], [at_x, at_y, at_z]) = (*arm, place.position);
+            let lever = [travelled(1, x, at_x), travelled(2, y, at_y), travelled(4, z, at_z)];
+            let made = cross(*angles, lever);
+            errors = if volume.chain.moves_workpiece(axis) {
+                minus(errors, made)
+            } else {
+                plus(errors, made)
+            };
         }
-        let travelled = |bit: u8, arm: i32, position: Position| {
-            if bits & bit == 0 { arm } else { arm.saturating_add(position.0) }
-        };
-        let ([x, y, z], [at_x, at_y, at_z]) = (*arm, place.position);
-        let lever = [travelled(1, x, at_x), travelled(2, y, at_y), travelled(4, z, at_z)];
-        let made = cross(*angles, lever);
-        *error =
-            if volume.chain.moves_workpiece(axis) { made.map(i32::saturating_neg) } else { made };
-    }
-
-    fn add_up(&mut self, place: &Place) {
-        let [x, y, z] = self.of_guides;
-        let guides = plus(plus(x, y), plus(self.of_tool, z));
         let (shift, tilt) = self.of_table;
-        self.errors = minus(guides, shift);
+        errors = minus(errors, shift);
         if tilt != [Fine::ZERO; 3] {
             let tip = plus(vector(place.position), self.tip);
-            self.errors = minus(self.errors, cross(tilt, tip));
+            errors = minus(errors, cross(tilt, tip));
         }
+        errors.map(Fine)
     }
 }
 

@@ -223,10 +223,12 @@ proptest! {
             let config = calibration.axes[axis as usize].travel;
             place.travel[axis as usize].update(&config, position, direction);
             cached.moved(&calibration, &heat, &place, axis);
+            cached.add_up(&calibration, &place);
             assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
             let item = number % 3;
             heat.step_item(&calibration, item, &[Some(Temperature(position.0)); CHANNELS], None);
             cached.warmed(&calibration, &heat, &place, LinearAxis::ALL[item]);
+            cached.add_up(&calibration, &place);
             assert_eq!(*cached.errors(), calibration.errors(&heat, &place));
         }
     }

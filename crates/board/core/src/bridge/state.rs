@@ -77,8 +77,9 @@ pub struct State {
     pub(super) heat: Heat,
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,
-    /// The errors of the axes as they are now; `None` until they are first asked for.
-    pub(super) axes: Option<(CachedErrors, ErrorSums)>,
+    /// The errors of the axes as they are now, and their sums unless a part has changed since; `None` until they are
+    /// first asked for.
+    pub(super) axes: Option<(CachedErrors, Option<ErrorSums>)>,
     pub(super) reference: Reference,
     /// A `Zero` has taken it, and [`Self::take_zeroed`] has not said so.
     pub(super) zeroed: bool,
