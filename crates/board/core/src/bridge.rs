@@ -32,13 +32,14 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,667
-//! instructions (median; 2,200 where the spindle speed has changed and a part of the heat is
-//! stepped; the sources are asked what they would say in a millisecond of their own):
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,660
+//! instructions (median; 2,190 where the spindle speed has changed and a part of the heat is
+//! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
+//! follows a message adds it up ([`CachedErrors::add_up`], 374), once for all positions and angles that came:
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 604 |
+//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 497 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
 //! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |
@@ -411,13 +412,12 @@ impl<'a> Bridge<'a> {
         }
     }
 
-    #[cold]
     #[inline(never)]
     fn add_up_errors(&self, state: &mut State) -> ErrorSums {
         let place = &state.place;
-        let (errors, kept) = state.axes.get_or_insert_with(|| {
-            (CachedErrors::at(&self.calibration, &state.heat, place), None)
-        });
+        let (errors, kept) = state
+            .axes
+            .get_or_insert_with(|| (CachedErrors::at(&self.calibration, &state.heat, place), None));
         *kept.insert(self.sums(errors, place))
     }
 

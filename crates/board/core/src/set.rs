@@ -33,7 +33,8 @@ impl IndexSet {
 
     /// Takes a number in, or out.
     pub fn set(&mut self, number: usize, is_in: bool) {
-        if is_in { self.insert(number) } else { self.remove(number) }
+        let bit = Self::bit(number);
+        self.0 = self.0 & !bit | if is_in { bit } else { 0 };
     }
 
     /// Returns the numbers of both.

@@ -31,14 +31,16 @@ impl Nanometres {
     #[must_use]
     #[inline]
     pub fn clamped(self, largest: Self) -> (Self, bool) {
-        let largest = largest.0.max(0);
-        let from_lowest = self.0.wrapping_add(largest).cast_unsigned();
+        let largest = Self(largest.0.max(0));
+        if self.is_within(largest) { (self, false) } else { (self.bound(largest.0), true) }
+    }
+
+    /// Returns whether the length is at most `largest` either way, which must not be below 0.
+    #[inline]
+    const fn is_within(self, largest: Self) -> bool {
+        let from_lowest = self.0.wrapping_add(largest.0).cast_unsigned();
         // At most 2³² − 2.
-        if from_lowest <= largest.cast_unsigned().wrapping_mul(2) {
-            (self, false)
-        } else {
-            (self.bound(largest), true)
-        }
+        from_lowest <= largest.0.cast_unsigned().wrapping_mul(2)
     }
 
     #[cold]
@@ -91,6 +93,12 @@ impl Fine {
     pub fn clamped(self, largest: Self) -> (Self, bool) {
         let (value, was_clamped) = Nanometres(self.0).clamped(Nanometres(largest.0));
         (Self(value.0), was_clamped)
+    }
+
+    /// Returns whether the value is at most `largest` either way, which must not be below 0.
+    #[inline]
+    pub(crate) const fn is_within(self, largest: Self) -> bool {
+        Nanometres(self.0).is_within(Nanometres(largest.0))
     }
 
     /// Returns the nearest nanometre, halves upwards.

@@ -51,9 +51,11 @@ pub struct Chain {
     /// The place of X, Y and Z, counted from the workpiece.
     places: [u8; 3],
     on_workpiece: u8,
-    /// Of X, Y and Z: a bit for each axis whose position is a part of its lever.
+    /// Of X, Y and Z: a bit for each axis whose position is a part of its lever, and [`MOVES_WORKPIECE`].
     levers: [u8; 3],
 }
+
+const MOVES_WORKPIECE: u8 = 1 << 3;
 
 impl Default for Chain {
     /// X, Y and Z move the tool, in this order.
@@ -78,10 +80,12 @@ impl Chain {
 
     fn of_places(places: [u8; 3], on_workpiece: u8) -> Self {
         let levers = places.map(|own| {
+            let moves_tool = own >= on_workpiece;
             // The part that moves the workpiece does not go with the tip: its own position counts.
-            let first = own.saturating_add(u8::from(own >= on_workpiece));
+            let first = own.saturating_add(u8::from(moves_tool));
             let bits = [1, 2, 4].into_iter().zip(places);
-            bits.filter(|(_, place)| *place >= first).fold(0, |all, (bit, _)| all | bit)
+            let side = if moves_tool { 0 } else { MOVES_WORKPIECE };
+            bits.filter(|(_, place)| *place >= first).fold(side, |all, (bit, _)| all | bit)
         });
         Self { places, on_workpiece, levers }
     }
@@ -277,14 +281,19 @@ impl Volume<'_> {
 /// when they are asked for, however many axes have moved since.
 #[derive(Clone, Debug, Default)]
 pub struct CachedVolume {
-    /// Of X, Y and Z, about X, Y and Z.
-    angles: [[Fine; 3]; 3],
-    /// From the points of X, Y and Z to the tip, with all positions at 0.
-    arms: [Vector; 3],
+    guides: [CachedGuide; 3],
     tip: Vector,
     of_tool: Vector,
     /// Shift at machine zero, and tilt.
     of_table: (Vector, [Fine; 3]),
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct CachedGuide {
+    /// About X, Y and Z.
+    angles: [Fine; 3],
+    /// From its point to the tip, with all positions at 0.
+    arm: Vector,
 }
 
 impl CachedVolume {
@@ -292,20 +301,20 @@ impl CachedVolume {
     pub fn turned(&mut self, volume: &Volume<'_>, place: &Place) {
         (self.tip, self.of_tool) = volume.tip(place);
         self.of_table = volume.table(place);
-        for (arm, guide) in self.arms.iter_mut().zip(&volume.guides) {
-            *arm = minus(self.tip, vector(guide.point));
+        for (cached, guide) in self.guides.iter_mut().zip(&volume.guides) {
+            cached.arm = minus(self.tip, vector(guide.point));
         }
     }
 
     /// An axis has moved. Returns whether it stands outside a curve, whose end value is held.
     pub fn moved(&mut self, volume: &Volume<'_>, position: Position, moved: LinearAxis) -> bool {
         let number = moved as usize;
-        let (Some(guide), Some(angles)) = (volume.guides.get(number), self.angles.get_mut(number))
+        let (Some(guide), Some(cached)) = (volume.guides.get(number), self.guides.get_mut(number))
         else {
             return false;
         };
         let mut outside = false;
-        for (angle, about) in angles.iter_mut().zip(&guide.about) {
+        for (angle, about) in cached.angles.iter_mut().zip(&guide.about) {
             let (at, is_held) = about.at(position);
             *angle = at;
             outside |= is_held;
@@ -317,22 +326,19 @@ impl CachedVolume {
     #[must_use]
     pub fn errors(&self, volume: &Volume<'_>, place: &Place) -> [Fine; 3] {
         let mut errors = self.of_tool;
-        let guides = self.angles.iter().zip(&self.arms).zip(volume.chain.levers);
-        for (((angles, arm), levers), axis) in guides.zip(LinearAxis::ALL) {
-            if *angles == [Fine::ZERO; 3] {
+        let [at_x, at_y, at_z] = place.position;
+        for (guide, levers) in self.guides.iter().zip(&volume.chain.levers) {
+            let CachedGuide { angles, arm: [x, y, z] } = *guide;
+            if angles == [Fine::ZERO; 3] {
                 continue;
             }
             let travelled = |bit: u8, arm: i32, position: Position| {
                 if levers & bit == 0 { arm } else { arm.saturating_add(position.0) }
             };
-            let ([x, y, z], [at_x, at_y, at_z]) = (*arm, place.position);
             let lever = [travelled(1, x, at_x), travelled(2, y, at_y), travelled(4, z, at_z)];
-            let made = cross(*angles, lever);
-            errors = if volume.chain.moves_workpiece(axis) {
-                minus(errors, made)
-            } else {
-                plus(errors, made)
-            };
+            let made = cross(angles, lever);
+            let moves_tool = levers & MOVES_WORKPIECE == 0;
+            errors = if moves_tool { plus(errors, made) } else { minus(errors, made) };
         }
         let (shift, tilt) = self.of_table;
         errors = minus(errors, shift);
