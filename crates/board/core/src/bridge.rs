@@ -32,8 +32,8 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,660
-//! instructions (median; 2,190 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,659
+//! instructions (median; 2,189 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
 //! follows a message adds it up ([`CachedErrors::add_up`], 374), once for all positions and angles that came:
 //!
