@@ -445,7 +445,7 @@ fn the_virtual_machine_errs_as_the_model_of_it_says() {
         let tip_mm = machine.volume.tool.tip_mm(machine.tool_direction);
         let poses: Vec<[f64; 6]> = serde_json::from_value(asked["poses"].clone()).expect("drawn");
         for [x, y, z, a, b, c] in poses {
-            let model = volume_um(&machine, [x, y, z], [a, b, c]);
+            let model = volume_um(&machine, machine.volume.tool, [x, y, z], [a, b, c]);
             let truth = error_um(&bodies, tip_mm, [x, y, z], [a, b, c]);
             for (model, truth) in model.into_iter().zip(truth) {
                 largest = largest.max(truth.abs());

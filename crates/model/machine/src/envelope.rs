@@ -141,6 +141,7 @@ pub fn states(machine: &Machine, ranges: &InputRanges) -> Vec<State> {
                             position_mm: *position_mm,
                             angle_deg: [0.0; 3],
                             direction: [*direction; 3],
+                            tool_length_mm: None,
                         });
                         states.push(State {
                             um: um.values().all(),

@@ -82,6 +82,8 @@ pub struct Situation<'a> {
     pub angle_deg: [f64; 3],
     /// The direction of approach of X, Y and Z: +1 or −1; a missing one is +1.
     pub direction: [f64; 3],
+    /// The length of the tool in the spindle; `None` where the run has no such column: that of the machine file.
+    pub tool_length_mm: Option<f64>,
 }
 
 impl Situation<'_> {
@@ -98,6 +100,7 @@ impl Situation<'_> {
         position_mm: [f64::NAN; 3],
         angle_deg: [f64::NAN; 3],
         direction: [f64::NAN; 3],
+        tool_length_mm: None,
     };
 
     /// Returns the temperature of `column`; NaN if it is missing.
@@ -271,7 +274,10 @@ impl<'m> ReferenceModel<'m> {
         for angle in self.machine.angles() {
             parts.squareness_um[angle.error.index()] += squareness_um(angle, at(angle.along));
         }
-        parts.volume_um = volume_um(&self.machine, situation.position_mm, situation.angle_deg);
+        let volume = &self.machine.volume;
+        let tool = volume.tool.of_length(situation.tool_length_mm);
+        parts.volume_um =
+            volume_um(&self.machine, tool, situation.position_mm, situation.angle_deg);
         let State { terms, .. } = &mut self.state;
         let sum_um = parts.error_um();
         for axis in LinearAxis::ALL {

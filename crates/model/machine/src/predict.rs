@@ -62,8 +62,8 @@ pub const WIRE_STEP_NM: f64 = 10.0;
 pub struct Prediction {
     /// The reference arithmetic.
     pub model: Values,
-    /// The same without the terms that only explain (`drift`, `time-shift` and the like): what the
-    /// board is to correct.
+    /// The same without the terms that only explain (`drift`, `time-shift` and the like), for the tool of the
+    /// machine file: what the board is to correct.
     pub compensated: Values,
     /// The board's arithmetic; `None` where the machine does not say how the sensor is connected.
     pub bridge: Option<Values>,
@@ -165,11 +165,21 @@ impl<'a> Predictor<'a> {
         Some(bridge.compiled.parts.iter().map(|(_, nm)| nm).sum::<f64>() + WIRE_STEP_NM)
     }
 
-    /// Returns the terms that only explain, by their causes: the model has them, and the board does not run them.
+    /// Returns what the model has and the board does not run: the terms that only explain, by their causes, and
+    /// tools of another length than that of the machine file.
     #[must_use]
     pub fn not_run(&self) -> Vec<&'static str> {
         let terms = self.machine.terms.iter().filter(|term| !term.effect.is_compensated());
-        terms.map(|term| term.effect.name()).collect()
+        let length = self.has_other_tools().then_some("tool_length_mm");
+        terms.map(|term| term.effect.name()).chain(length).collect()
+    }
+
+    /// Returns whether a row has a tool of another length than the machine file, and that makes a difference.
+    fn has_other_tools(&self) -> bool {
+        let volume = &self.machine.volume;
+        let is_other = |length_mm: &f64| *length_mm != volume.tool.length_mm;
+        volume.has_errors()
+            && self.columns.tool_length_mm.is_some_and(|lengths| lengths.iter().any(is_other))
     }
 
     /// Columns that the machine's model needs and the run does not have: what depends on them is
@@ -184,8 +194,8 @@ impl<'a> Predictor<'a> {
         let mut model = self.model();
         let compensated = self.machine.compensated();
         // Where nothing is left out it is the model, and is not computed twice.
-        let only_explains = matches!(compensated, Cow::Owned(_));
-        let mut compensated = only_explains.then(|| ReferenceModel::of(compensated));
+        let is_less = matches!(compensated, Cow::Owned(_)) || self.has_other_tools();
+        let mut compensated = is_less.then(|| ReferenceModel::of(compensated));
         let mut bridge =
             self.bridge.as_ref().ok().map(|bridge| BridgeRun::new(self.machine, bridge));
         (0..self.run.rows()).map(move |row| {
@@ -193,7 +203,8 @@ impl<'a> Predictor<'a> {
             let others = self.columns.others(row);
             let situation = self.columns.situation(row, &temperatures, &others);
             let model = model.next().expect("one for each row");
-            let compensated = compensated.as_mut().map_or(model, |it| it.step(&situation).values());
+            let on_board = Situation { tool_length_mm: None, ..situation };
+            let compensated = compensated.as_mut().map_or(model, |it| it.step(&on_board).values());
             let bridge = bridge.as_mut().map(|bridge| {
                 let bridge = bridge.step(&situation);
                 // What the model cannot know the board does not know either.
@@ -353,6 +364,7 @@ fn nothing_is_known(machine: &Machine, columns: &Columns<'_>) -> bool {
         position_mm: columns.position_mm.each_ref().map(there),
         angle_deg: columns.angle_deg.each_ref().map(there),
         direction: [1.0; 3],
+        tool_length_mm: None,
     };
     let nothing = Situation { temperatures_c: &[], ..Situation::UNKNOWN };
     let known = ReferenceModel::new(machine).step(&situation).values().all();

@@ -57,6 +57,8 @@ fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Steppe
         runs.iter().map(|run| ["a_deg", "b_deg", "c_deg"].map(|name| run.column(name))).collect();
     let counts: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("sensor_counts")).collect();
     let feeds: Vec<Option<&[f64]>> = runs.iter().map(|run| run.column("feed_mm_per_min")).collect();
+    let lengths: Vec<Option<&[f64]>> =
+        runs.iter().map(|run| run.column("tool_length_mm")).collect();
     let axis = data.quantity.axis().map(LinearAxis::index);
     let list = || Vec::with_capacity(data.rows);
     let mut stepped = Stepped { elongation: list(), along: list(), axis: list(), thermal: list() };
@@ -97,6 +99,7 @@ fn stepped(data: &Data, runs: &[Uncompensated<'_>], machine: &Machine) -> Steppe
                 position_mm: [0, 1, 2].map(|n| at(&data.position_mm[n], row)),
                 angle_deg: angles[number].map(of),
                 direction: [0, 1, 2].map(|n| at(&data.direction[n], row)),
+                tool_length_mm: lengths[number].map(|lengths| lengths[own]),
             });
             let (along, rest, thermal) = match axis {
                 None => (1.0, 0.0, 0.0),

@@ -172,13 +172,13 @@ impl Constants {
 
     /// Returns what a unit of each constant moves the tip at a pose, along X, Y and Z in µm.
     #[must_use]
-    pub fn at(&mut self, pose: &Pose) -> Vec<[f64; 3]> {
+    pub fn at(&self, pose: &Pose) -> Vec<[f64; 3]> {
         let units: Vec<(Error, [f64; 3])> = self
             .units
-            .iter_mut()
+            .iter()
             .map(|(error, machine)| {
-                machine.volume.tool.length_mm = pose.tool_mm;
-                (*error, volume_um(machine, pose.position_mm, pose.angle_deg))
+                let tool = machine.volume.tool.of_length(Some(pose.tool_mm));
+                (*error, volume_um(machine, tool, pose.position_mm, pose.angle_deg))
             })
             .collect();
         let forms = [0, 1, 2].map(|n| {

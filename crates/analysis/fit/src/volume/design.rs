@@ -29,7 +29,7 @@ impl Design {
     /// # Panics
     /// The machine has no chain.
     #[must_use]
-    pub fn of(machine: &Machine, mut constants: Constants, readings: &[Reading]) -> Self {
+    pub fn of(machine: &Machine, constants: Constants, readings: &[Reading]) -> Self {
         let chain = machine.volume.chain.as_ref().expect("was checked");
         let frame = Frame::of(machine, chain);
         let centres = Centres::of(readings, &frame);

@@ -179,7 +179,7 @@ fn is_there(found: &Posterior, own: &[usize]) -> bool {
 
 /// Returns which constants move the tip where it was read, with those tools or a longer one.
 fn acting(design: &Design, readings: &[Reading]) -> Vec<bool> {
-    let mut constants = design.constants.clone();
+    let constants = design.constants.clone();
     let mut acting = vec![false; constants.all.len()];
     for reading in readings {
         for longer_mm in [0.0, LONGER_MM] {

@@ -97,14 +97,14 @@ fn corrected(report: &VolumeReport, file: &str) -> Machine {
 }
 
 /// Returns the error that is predicted at a pose.
-fn predicted_um(machine: &mut Machine, at: &At) -> [f64; 3] {
+fn predicted_um(machine: &Machine, at: &At) -> [f64; 3] {
     use trueup_machine::model::{ReferenceModel, Situation};
-    machine.volume.tool.length_mm = at.tool_mm;
     let mut model = ReferenceModel::new(machine);
     let situation = Situation {
         position_mm: at.mm,
         angle_deg: at.deg,
         direction: [1.0; 3],
+        tool_length_mm: Some(at.tool_mm),
         ..Situation::UNKNOWN
     };
     model.step(&situation).error_um()
@@ -156,14 +156,14 @@ fn fit(drawn: &mut Drawn, plan: Plan) -> VolumeReport {
 fn outcome(seed: u64, plan: Plan, law: Law) -> Outcome {
     let mut drawn = Drawn::new(seed, law);
     let mut report = fit(&mut drawn, plan);
-    let mut machine = corrected(&report, &drawn.file);
+    let machine = corrected(&report, &drawn.file);
     let poses: Vec<At> = (0..HELD_OUT).map(|_| drawn.pose(None)).collect();
     let errors: Vec<[f64; 3]> = poses.iter().map(|at| drawn.error_um(at)).collect();
     let left: Vec<[f64; 3]> = poses
         .iter()
         .zip(&errors)
         .map(|(at, error)| {
-            let predicted = predicted_um(&mut machine, at);
+            let predicted = predicted_um(&machine, at);
             [0, 1, 2].map(|n| error[n] - predicted[n])
         })
         .collect();
@@ -244,9 +244,9 @@ struct Sound {
 fn sound(seed: u64, plan: Plan) -> Sound {
     let mut drawn = Drawn::of_size(seed, 0.0);
     let report = fit(&mut drawn, plan);
-    let mut machine = corrected(&report, &drawn.file);
+    let machine = corrected(&report, &drawn.file);
     let poses: Vec<At> = (0..HELD_OUT).map(|_| drawn.pose(None)).collect();
-    let made: Vec<[f64; 3]> = poses.iter().map(|at| predicted_um(&mut machine, at)).collect();
+    let made: Vec<[f64; 3]> = poses.iter().map(|at| predicted_um(&machine, at)).collect();
     let known = || report.known.iter().filter(|it| it.is_known);
     Sound {
         known: known().count(),

@@ -190,7 +190,8 @@ fn an_angle_that_was_a_line_goes_on_beyond_what_was_measured() {
         let report = fit(&run, &file(text), &options);
         let path = Path::new("m.toml");
         let fitted = file(&report.edit.apply(text, path).expect("sections"));
-        let dz = |y| trueup_machine::model::volume_um(&fitted, [x, y, 0.0], [0.0; 3])[2];
+        let tool = fitted.volume.tool;
+        let dz = |y| trueup_machine::model::volume_um(&fitted, tool, [x, y, 0.0], [0.0; 3])[2];
         (dz(300.0) - dz(0.0), report.warnings)
     };
     // 150 mm beyond, the line alone goes on: 13.5 µrad at 300 mm.

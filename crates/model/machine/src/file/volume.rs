@@ -108,10 +108,19 @@ pub struct ToolTip {
 }
 
 impl ToolTip {
+    /// Returns the same with this length, where one is given.
+    #[must_use]
+    pub fn of_length(self, length_mm: Option<f64>) -> Self {
+        Self { length_mm: length_mm.unwrap_or(self.length_mm), ..self }
+    }
+
     /// Returns the way from the spindle nose to the tip, with all angles at 0.
     #[must_use]
     pub fn tip_mm(&self, direction: [f64; 3]) -> [f64; 3] {
-        [0, 1, 2].map(|n| self.offset_mm[n] + self.length_mm * direction[n])
+        // A length that is not known is missing along the tool alone.
+        let along =
+            |n: usize| if direction[n] == 0.0 { 0.0 } else { self.length_mm * direction[n] };
+        [0, 1, 2].map(|n| self.offset_mm[n] + along(n))
     }
 }
 

@@ -22,11 +22,11 @@
 use super::{kinematics::rotated, straightness::spline_um};
 use crate::{
     effect::Angle,
-    file::{Angular, Chain, LinearAxis, Machine, RotaryAxis, RotaryLocation},
+    file::{Angular, Chain, LinearAxis, Machine, RotaryAxis, RotaryLocation, ToolTip},
 };
 
-/// Returns the error of the tool tip on X, Y and Z in µm; 0 without angular and location errors. A position or an angle
-/// that is missing (NaN) makes what depends on it NaN.
+/// Returns the error of the tip of `tool` on X, Y and Z in µm; 0 without angular and location errors. A position, an
+/// angle or a length that is missing (NaN) makes what depends on it NaN.
 ///
 /// ```
 /// use std::path::Path;
@@ -35,15 +35,21 @@ use crate::{
 ///             angular.eax.urad_per_m = 10.0";
 /// let machine = MachineFile::parse(text, Path::new("m.toml")).expect("right");
 /// // At X = 1 m it is rolled by 10 µrad; 0.5 m of Y lift the tip by 5 µm, 0.2 m of Z take it to −Y by 2 µm.
-/// assert_eq!(volume_um(&machine, [1000.0, 500.0, 200.0], [0.0; 3]), [0.0, -2.0, 5.0]);
+/// let tool = machine.volume.tool;
+/// assert_eq!(volume_um(&machine, tool, [1000.0, 500.0, 200.0], [0.0; 3]), [0.0, -2.0, 5.0]);
 /// ```
 #[must_use]
-pub fn volume_um(machine: &Machine, position_mm: [f64; 3], angle_deg: [f64; 3]) -> [f64; 3] {
+pub fn volume_um(
+    machine: &Machine,
+    tool: ToolTip,
+    position_mm: [f64; 3],
+    angle_deg: [f64; 3],
+) -> [f64; 3] {
     let volume = &machine.volume;
     let Some(chain) = volume.chain.as_ref().filter(|_| volume.has_errors()) else {
         return [0.0; 3];
     };
-    let (tip_mm, mut error_um) = tip(machine, chain, angle_deg);
+    let (tip_mm, mut error_um) = tip(machine, tool, chain, angle_deg);
     for angular in &volume.angular {
         let place_mm = position_mm[angular.along.index()];
         let urad = angle_urad(&angular.angle, place_mm);
@@ -78,9 +84,14 @@ fn angle_urad(angle: &Angle, place_mm: f64) -> f64 {
 }
 
 /// Returns the tip from the spindle nose in mm, and the errors of the axes that turn the tool in µm.
-fn tip(machine: &Machine, chain: &Chain, angle_deg: [f64; 3]) -> ([f64; 3], [f64; 3]) {
+fn tip(
+    machine: &Machine,
+    tool: ToolTip,
+    chain: &Chain,
+    angle_deg: [f64; 3],
+) -> ([f64; 3], [f64; 3]) {
     let volume = &machine.volume;
-    let mut tip_mm = volume.tool.tip_mm(machine.tool_direction);
+    let mut tip_mm = tool.tip_mm(machine.tool_direction);
     let mut error_um = [0.0; 3];
     for &axis in chain.head.iter().rev() {
         let point_mm = volume.line_mm(axis);
@@ -185,9 +196,14 @@ impl Machine {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{volume_um as tip_error_um, *};
     use crate::file::MachineFile;
     use std::path::Path;
+
+    /// With the tool of the machine file.
+    fn volume_um(machine: &Machine, position_mm: [f64; 3], angle_deg: [f64; 3]) -> [f64; 3] {
+        tip_error_um(machine, machine.volume.tool, position_mm, angle_deg)
+    }
 
     fn machine(chain: &str, rest: &str) -> Machine {
         let kind = match chain.chars().filter(|it| "ABC".contains(*it)).count() {

@@ -22,6 +22,7 @@ pub(super) struct Columns<'a> {
     pub(super) position_mm: [Option<&'a [f64]>; 3],
     pub(super) angle_deg: [Option<&'a [f64]>; 3],
     pub(super) direction: [Option<&'a [f64]>; 3],
+    pub(super) tool_length_mm: Option<&'a [f64]>,
 }
 
 impl<'a> Columns<'a> {
@@ -54,6 +55,7 @@ impl<'a> Columns<'a> {
             position_mm: linear(|axis| format!("{axis}_mm")),
             angle_deg: RotaryAxis::ALL.map(|axis| run.column(&format!("{}_deg", axis.name()))),
             direction: linear(|axis| format!("dir_{axis}")),
+            tool_length_mm: run.column("tool_length_mm"),
         }
     }
 
@@ -83,6 +85,7 @@ impl<'a> Columns<'a> {
             position_mm: self.position_mm.map(|values| at(values, row)),
             angle_deg: self.angle_deg.map(|values| at(values, row)),
             direction: self.direction.map(|values| at(values, row)),
+            tool_length_mm: self.tool_length_mm.map(|lengths| at(Some(lengths), row)),
         }
     }
 }

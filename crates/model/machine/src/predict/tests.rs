@@ -147,3 +147,24 @@ fn a_row_that_the_boards_numbers_cannot_hold_breaks_the_promise_and_one_between_
     assert!(between.largest_difference_nm.expect("a bridge") > WIRE_STEP_NM, "{between:?}");
     assert_eq!(between.broken_promise, None);
 }
+
+#[test]
+fn a_tool_of_another_length_errs_by_its_own_lever_and_the_board_knows_that_of_the_file() {
+    let text = "machine = { name = 'm', kind = '3-axis', chain = 'w b X Y Z t' }
+                angular.eax.urad_per_m = 10.0
+                tool.length_mm = 100.0";
+    // At X = 1 m rolled by 10 µrad: Δy = −10 µrad · (Z − length), Δz = 10 µrad · Y.
+    let rows = "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,100\n1000,500,200,300\n1000,500,200,\n";
+    let (machine, rows) = (machine(text), run(rows));
+    let predictor = Predictor::new(&machine, &rows).expect("can be predicted");
+    let all: Vec<Prediction> = predictor.rows().collect();
+    assert_eq!(all[0].model.error_um, [0.0, -1.0, 5.0]);
+    assert_eq!(all[1].model.error_um, [0.0, 1.0, 5.0]);
+    assert!(all[2].model.error_um[1].is_nan(), "{:?}", all[2]);
+    assert_eq!(all[2].model.error_um[2].to_bits(), 5.0_f64.to_bits());
+    assert!(all.iter().take(2).all(|it| it.compensated.error_um == [0.0, -1.0, 5.0]));
+    assert!(all[1].arithmetic_nm().expect("a board") < 1.0);
+    assert_eq!(predictor.not_run(), ["tool_length_mm"]);
+    let (_, account) = written(text, "x_mm,y_mm,z_mm,tool_length_mm\n1000,500,200,300\n");
+    assert_eq!(account.broken_promise, None);
+}

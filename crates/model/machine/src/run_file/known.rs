@@ -50,7 +50,7 @@ pub const KNOWN_COLUMNS: &[KnownColumn] = &[
     known(
         "tool_length_mm",
         "mm",
-        "the tool or stylus in the spindle, in the place of `[tool] length_mm`; `fit volume`",
+        "the tool or stylus in the spindle, in the place of `[tool] length_mm`; the board knows that of the machine file",
     ),
     known(
         "tool",

@@ -143,6 +143,7 @@ impl<'m> Bench<'m> {
             position_mm: position.map(|units| f64::from(units) / UNITS_PER_MM),
             angle_deg: [a, f64::NAN, c],
             direction: reverse.map(|reverse| if reverse { -1.0 } else { 1.0 }),
+            tool_length_mm: None,
         };
         self.reference.step(&situation).error_um().map(|um| um * 1_000.0)
     }

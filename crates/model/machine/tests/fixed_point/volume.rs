@@ -91,7 +91,7 @@ fn the_board_is_within_1_nm_of_every_drawn_volume() {
                 angle_deg[axis.index()] = f64::from(angle.0) / 1e6;
             }
             let sums = calibration.errors(&Heat::default(), &place).sums(UNLIMITED).sums;
-            let model = volume_um(&machine, position_mm, angle_deg);
+            let model = volume_um(&machine, machine.volume.tool, position_mm, angle_deg);
             for (board, model) in sums.into_iter().zip(model) {
                 worst = worst.max((f64::from(board.0) / 256.0 - model * 1_000.0).abs());
             }
