@@ -80,26 +80,17 @@ pub(crate) fn estimates(
                 let sd = at.map_or(f64::NAN, |at| quantile * spread_of_wave(pair, at, &spread));
                 // Without an interval nothing is known of it.
                 reaches_nothing |= amplitude <= sd || sd.is_nan();
-                put(
-                    &mut map,
-                    "amplitude_um",
-                    amplitude,
-                    [(amplitude - sd).max(0.0), amplitude + sd],
-                );
+                let ends = [(amplitude - sd).max(0.0), amplitude + sd];
+                put(&mut map, "amplitude_um", amplitude, ends);
                 let [low, high] = interval(0);
                 put(&mut map, period, part.values[0] / harmonic, [low / harmonic, high / harmonic]);
             }
             Parameter::Record(name, record) => {
-                let record: Map<String, Value> = record
-                    .iter()
-                    .map(|(key, value)| {
-                        (key.to_string(), value.as_ref().map_or(Value::Null, as_json))
-                    })
-                    .collect();
-                map.insert(
-                    (*name).into(),
-                    json!({"value": record, "ci95": &intervals[nonlinear.len()..]}),
-                );
+                let json = |value: &Option<_>| value.as_ref().map_or(Value::Null, as_json);
+                let entries = record.iter().map(|(key, value)| (key.to_string(), json(value)));
+                let record: Map<String, Value> = entries.collect();
+                let intervals = &intervals[nonlinear.len()..];
+                map.insert((*name).into(), json!({"value": record, "ci95": intervals}));
             }
             Parameter::Records(name, records) => {
                 let records: Vec<Map<String, Value>> = records

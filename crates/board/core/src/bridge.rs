@@ -35,11 +35,11 @@
 //! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,659
 //! instructions (median; 2,189 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
-//! follows a message adds it up ([`CachedErrors::add_up`], 374), once for all positions and angles that came:
+//! follows a message adds it up ([`CachedErrors::add_up`](crate::geometry::CachedErrors::add_up), 374), once for all positions and angles that came:
 //!
 //! | in the tick | | when received | |
 //! |---|---|---|---|
-//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`] | 497 |
+//! | [`Health::check`](crate::health::Health::check) | 304 | position: [`CachedErrors::moved`](crate::geometry::CachedErrors::moved) | 497 |
 //! | [`Filter::tick`](crate::filter::Filter::tick) | 300 | angles: [`Kinematics::direction`](crate::kinematics::Kinematics::direction) | 221 |
 //! | [`SensorLaw::elongation`](crate::sensor::SensorLaw::elongation) | 33 | speed, in the next tick: [`Window::for_speed`](crate::window::Window::for_speed) | 49 |
 //! | [`Applied::step`](crate::limits::Applied::step) | 180 | | |
@@ -49,6 +49,7 @@
 mod agreement;
 mod angles;
 mod conditions;
+mod errors;
 mod joint;
 mod lost;
 mod needs;
@@ -75,12 +76,11 @@ use crate::{
     channels::RawTemperatures,
     cnc::{Command, Flags, LinearAxis, Output, Quality, Rotary},
     dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
-    geometry::{CachedErrors, ErrorSums},
-    heat::{self, Heat},
+    geometry::ErrorSums,
+    heat,
     heat_memory::HeatMemory,
     learned::Change,
     limits::LimitStatus,
-    place::Place,
     set::IndexSet,
     thermometer::Raw,
     tip,
@@ -401,62 +401,6 @@ impl<'a> Bridge<'a> {
         self.all_sources_are_dead(state)
             || state.channels.any_faulty(self.needs.temperatures)
             || lacks_heat()
-    }
-
-    /// Returns the errors of the axes at the present place.
-    #[inline]
-    fn axis_errors(&self, state: &mut State) -> ErrorSums {
-        match &state.axes {
-            Some((_, Some(sums))) => *sums,
-            _ => self.add_up_errors(state),
-        }
-    }
-
-    #[inline(never)]
-    fn add_up_errors(&self, state: &mut State) -> ErrorSums {
-        let place = &state.place;
-        let (errors, kept) = state
-            .axes
-            .get_or_insert_with(|| (CachedErrors::at(&self.calibration, &state.heat, place), None));
-        *kept.insert(self.sums(errors, place))
-    }
-
-    fn sums(&self, errors: &mut CachedErrors, place: &Place) -> ErrorSums {
-        errors.add_up(&self.calibration, place);
-        errors.errors().sums(self.largest)
-    }
-
-    /// Applies a change in an input of the errors to the cached ones. Before they are first asked for nothing is kept.
-    ///
-    /// Those of a volume are added up by the tick that asks for them, once however many messages came before it;
-    /// without one that is done here, and the tick has none of it.
-    #[inline]
-    fn update(&self, state: &mut State, change: impl FnOnce(&mut CachedErrors, &Heat, &Place)) {
-        if let Some((errors, sums)) = &mut state.axes {
-            change(errors, &state.heat, &state.place);
-            *sums = match &self.calibration.volume {
-                None => Some(self.sums(errors, &state.place)),
-                Some(_) => None,
-            };
-        }
-    }
-
-    /// An axis has moved or turned round.
-    fn moved(&self, state: &mut State, axis: LinearAxis) {
-        let calibration = &self.calibration;
-        self.update(state, |errors, heat, place| errors.moved(calibration, heat, place, axis));
-    }
-
-    /// The heat of an axis has been stepped.
-    fn warmed(&self, state: &mut State, axis: LinearAxis) {
-        let calibration = &self.calibration;
-        self.update(state, |errors, heat, place| errors.warmed(calibration, heat, place, axis));
-    }
-
-    /// A term over temperature or time has been stepped.
-    fn term_warmed(&self, state: &mut State) {
-        let calibration = &self.calibration;
-        self.update(state, |errors, heat, place| errors.terms_changed(calibration, heat, place));
     }
 
     /// Returns the offset that undoes the error since the reference; and whether the elongation along an

@@ -198,6 +198,13 @@ fn is_of_row(word: &str) -> bool {
     [ROW, NUMBER, FILLING].iter().any(|list| words::has(list, word))
 }
 
+fn is_spindle(word: &str) -> bool {
+    ["spindel", "spindle"].contains(&word)
+}
+
+/// The first words of columns that other commands write.
+const WRITTEN: [&str; 6] = ["predicted", "bridge", "residual", "check", "offset", "gauge"];
+
 /// Returns what the column `name` means, its values being in `unit` where that is known.
 pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meaning {
     let known = |name: &str| Meaning::Known(Target::of(name));
@@ -211,13 +218,9 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     let is_length = matches!(dimension, None | Some(Dimension::Length));
     let is_identifier = header.contains('_') && slug(header) == header;
     // What other commands write, and names of the user's own, stay as they are.
-    let is_own = ["predicted", "bridge", "residual", "check", "offset", "gauge"]
-        .contains(&words[0].as_str())
-        && is_identifier;
-    let other = || {
-        let name = if is_identifier { header.into() } else { with_unit(&slugged, dimension) };
-        Meaning::Other(name)
-    };
+    let is_own = is_identifier && WRITTEN.contains(&words[0].as_str());
+    let own_name = || if is_identifier { header.into() } else { with_unit(&slugged, dimension) };
+    let other = || Meaning::Other(own_name());
     if is_own || (is_identifier && dimension.is_none()) {
         return match (axis_of(&words), words[0].as_str()) {
             // A misspelt or shortened name of the run file.
@@ -227,9 +230,8 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     }
     let axis = axis_of(&words);
     let is_only_axis = words.iter().all(|word| {
-        axis_of(std::slice::from_ref(word)).is_some()
-            || words::has(FILLING, word)
-            || words::has(POSITION, word)
+        let is_axis = axis_of(std::slice::from_ref(word)).is_some();
+        is_axis || words::has(FILLING, word) || words::has(POSITION, word)
     });
     let is_temperature = has(TEMPERATURE) || (dimension.is_some() && !is_identifier);
     if matches!(dimension, None | Some(Dimension::Temperature)) && is_temperature {
@@ -244,9 +246,8 @@ pub(crate) fn understand(header: &str, name: &str, unit: Option<Unit>) -> Meanin
     if dimension.is_none() && has(DATE) {
         return Meaning::Date;
     }
-    let speed_words = words
-        .iter()
-        .any(|word| !["spindel", "spindle"].contains(&word.as_str()) && words::has(SPEED, word));
+    let is_speed = |word: &String| !is_spindle(word) && words::has(SPEED, word);
+    let speed_words = words.iter().any(is_speed);
     if (dimension == Some(Dimension::Speed) && has(SPEED)) || (dimension.is_none() && speed_words) {
         return known("spindle_rpm");
     }

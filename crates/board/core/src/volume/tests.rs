@@ -67,7 +67,7 @@ fn what_is_kept_is_what_is_computed_anew_wherever_the_axes_go() {
                 }
             }
             // Now and then after several have moved.
-            if random(&mut seed) % 3 == 0 {
+            if random(&mut seed).is_multiple_of(3) {
                 continue;
             }
             cached.add_up(&calibration, &place);
