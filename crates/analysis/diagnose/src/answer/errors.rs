@@ -2,7 +2,31 @@
 
 use trueup_numerics::blocks::rms;
 
-use crate::{data::Data, fit::Problem};
+use crate::{data::Data, fit::Problem, model::Model};
+
+/// The errors of the runs without and with what was found.
+pub(super) struct Residuals {
+    /// The machine file's prediction of each row, in µm.
+    pub before: Vec<f64>,
+    /// That of the model as it is handed out.
+    pub after: Vec<f64>,
+    /// Errors of the rows that count, in µm.
+    pub before_rows: Vec<f64>,
+    /// The same, without those that are set aside.
+    pub after_rows: Vec<f64>,
+    /// Groups are means of rows: the mean square that they average away, in µm², is in each row again.
+    pub within: f64,
+}
+
+impl Residuals {
+    pub(super) fn of(data: &Data, problem: &Problem, model: &Model, aside: &[bool]) -> Self {
+        let (before, after) = (Model::default().predict(data), model.predict(data));
+        let before_rows = about_zero(data, errors(data, &before, None));
+        let after_rows = about_zero(data, errors(data, &after, Some(aside)));
+        let within = within_groups(data, problem, &after, aside);
+        Self { before, after, before_rows, after_rows, within }
+    }
+}
 
 /// Errors of the rows that count, in µm, but for those that are set `aside`.
 pub(crate) fn errors(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> Vec<f64> {
@@ -29,12 +53,7 @@ pub(crate) fn largest(errors: &[f64]) -> f64 {
 }
 
 /// Mean square of the errors that the groups of a problem average away, in µm².
-pub(crate) fn within_groups(
-    data: &Data,
-    problem: &Problem,
-    predicted: &[f64],
-    aside: &[bool],
-) -> f64 {
+fn within_groups(data: &Data, problem: &Problem, predicted: &[f64], aside: &[bool]) -> f64 {
     if problem.groups.size == 1 {
         // Rows of their own, or a draw of them.
         return 0.0;

@@ -3,6 +3,9 @@
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+use trueup_numerics::blocks::rms;
+
+use super::errors::largest;
 
 pub use crate::gain::Gain;
 
@@ -96,6 +99,12 @@ pub struct Before {
     pub holdout_rms_um: f64,
 }
 
+impl Before {
+    pub(super) fn of(rows: &[f64], holdout_rms_um: f64) -> Self {
+        Self { rms_um: rms(rows), max_um: largest(rows), holdout_rms_um }
+    }
+}
+
 /// Errors with the extension, in µm.
 #[derive(Clone, Debug, Serialize)]
 pub struct After {
@@ -112,6 +121,21 @@ pub struct After {
     pub compensated_rms_um: f64,
     /// The largest of it.
     pub compensated_max_um: f64,
+}
+
+impl After {
+    /// Returns the figures of the errors by row, of those of the board, and of both on the hold-out.
+    pub(super) fn of(rows: &[f64], on_board: &[f64], holdout_um: [f64; 2]) -> Self {
+        let [holdout_rms_um, compensated_holdout_rms_um] = holdout_um;
+        Self {
+            rms_um: rms(rows),
+            max_um: largest(rows),
+            holdout_rms_um,
+            compensated_holdout_rms_um,
+            compensated_rms_um: rms(on_board),
+            compensated_max_um: largest(on_board),
+        }
+    }
 }
 
 /// The error at the tool as it is foreseen, RMS in µm: without the noise of the gauge, which the tool does not

@@ -10,8 +10,8 @@ use crate::{
     answer::{
         compensated,
         hold_out::HoldOut,
+        rest::without_all,
         unseen::on_hold_out,
-        without_all,
         worse::{excess, where_it_is_worse},
     },
     fit::{Problem, fit},

@@ -6,8 +6,8 @@ use trueup_page::micrometres;
 
 use crate::{
     answer::{
-        OF_THE_MACHINE, power::Power, report::Verdict, shortfall::Shortfall, transfer::Transfer,
-        wandering::Wandering,
+        power::Power, report::Verdict, rest::OF_THE_MACHINE, shortfall::Shortfall,
+        transfer::Transfer, wandering::Wandering,
     },
     judge::Judgement,
     repeats::Repeats,

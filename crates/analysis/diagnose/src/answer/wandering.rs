@@ -6,6 +6,7 @@ use trueup_numerics::noise;
 
 use trueup_page::micrometres;
 
+use super::report;
 use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
 
 /// Slow wandering.
@@ -17,6 +18,14 @@ pub(crate) struct Wandering {
     pub memory: Memory,
     /// Inputs that were not recorded and may be behind it.
     to_record: Vec<&'static str>,
+}
+
+impl Wandering {
+    /// Returns it as it is reported.
+    pub(super) fn reported(&self) -> report::Wandering {
+        let (memory_s, memory_rows) = (self.memory.seconds(), self.memory.rows());
+        report::Wandering { rms_um: self.rms_um, memory_s, memory_rows }
+    }
 }
 
 /// How long what wanders remembers.

@@ -22,8 +22,14 @@ use trueup_numerics::{blocks::rms, robust::median};
 
 use crate::{
     answer::{
-        errors::about_zero, harm::is_worse, hold_out::HoldOut, kept_of, measured::Measured,
-        not_written::NotWritten, transfer::Transfer, unseen::Unseen, without_all,
+        errors::about_zero,
+        harm::is_worse,
+        hold_out::HoldOut,
+        measured::Measured,
+        not_written::NotWritten,
+        rest::{kept_of, without_all},
+        transfer::Transfer,
+        unseen::Unseen,
     },
     data::Data,
     fit::{Fitted, Problem, fit},
@@ -32,6 +38,7 @@ use crate::{
     model::Model,
     parameters::{Estimates, estimates},
     search::{Found, criterion::noise_of, start},
+    terms::Extended,
 };
 
 /// Readings farther from the rest, in standard deviations, do not count where a term has left that explained
@@ -53,6 +60,20 @@ pub(crate) struct Written {
 }
 
 impl Written {
+    /// Returns the terms of both in the machine file.
+    pub(super) fn extension(&self, data: &Data) -> Extended {
+        let mut both = Extended::by(data, &self.board);
+        let explains = Extended::by(data, &self.explains);
+        both.replaced.extend(explains.replaced);
+        both.new.extend(explains.new);
+        both
+    }
+
+    /// Returns whether a term is left out that cannot be separated from another.
+    pub(super) fn withholds(&self) -> bool {
+        self.left.iter().any(|(_, why)| why.is_inseparable())
+    }
+
     /// Of the answer `found`, `judged`, of which `joint` is handed out; measured in `runs`.
     pub(crate) fn new(
         problem: &Problem,
