@@ -14,7 +14,7 @@ use std::{env, fs, path::Path, path::PathBuf, process::exit};
 
 use trueup_boot::{
     header::HEADER_SIZE,
-    layout::{BOOT_SIZE, FLASH_START, SLOT_SIZE, Slot},
+    layout::{BOOT_SIZE, FLASH_START, HANDOVER_SIZE, HANDOVER_START, SLOT_SIZE, Slot},
 };
 use trueup_machine::{compile::compile, file::MachineFile};
 use trueup_signature::PublicKey;
@@ -107,13 +107,20 @@ fn place() -> Place {
     if is_in_slot {
         let is_b = env::var("TRUEUP_SLOT").is_ok_and(|slot| slot == Slot::B.name());
         let start = if is_b { Slot::B.start() } else { Slot::A.start() };
-        Place { start: start + header, length: SLOT_SIZE - header, ram }
+        Place { start: start + header, length: SLOT_SIZE - header, ram: below_handover(ram.0) }
     } else if has_feature("BOOT") {
         // The upper part of the RAM: where the application has its stack.
-        Place { start: FLASH_START, length: BOOT_SIZE, ram: (0x2001_8000, 32 * 1024) }
+        Place { start: FLASH_START, length: BOOT_SIZE, ram: below_handover(0x2001_8000) }
     } else {
         Place { start: FLASH_START, length: 512 * 1024, ram }
     }
+}
+
+/// Returns the RAM from an address on, up to the words that the boot program hands over: neither program has its stack
+/// there.
+fn below_handover(ram: u32) -> (u32, u32) {
+    const _: () = assert!(HANDOVER_START + HANDOVER_SIZE == 0x2000_0000 + 128 * 1024);
+    (ram, HANDOVER_START - ram)
 }
 
 /// Writes the public key of updates: the one that the user names, or that of developers.

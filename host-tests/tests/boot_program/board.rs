@@ -1,6 +1,10 @@
 //! A board of these tests: the content of its flash, and what it says.
 
-use std::{fs, path::PathBuf, sync::OnceLock};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    sync::OnceLock,
+};
 
 use tempfile::TempDir;
 use trueup_boot::{
@@ -60,7 +64,11 @@ pub fn version(minor: u8) -> Version {
 
 /// Returns the bytes of a small image for a slot.
 pub fn body(slot: Slot, behaviour: u8) -> Vec<u8> {
-    let image = &parts().expect("it was asked for").images[usize::from(slot.number())];
+    body_of(&parts().expect("it was asked for").images[usize::from(slot.number())], slot, behaviour)
+}
+
+/// Returns the same of an image that was built apart.
+pub fn body_of(image: &Path, slot: Slot, behaviour: u8) -> Vec<u8> {
     let name = slot.name().as_bytes()[0];
     slots::slot_test_body(image, slot, behaviour, name).expect("a body")
 }
@@ -92,6 +100,7 @@ pub fn foreign(slot: Slot, minor: u8) -> Vec<u8> {
 /// A board with what is in its flash.
 pub struct Board {
     folder: TempDir,
+    boot: PathBuf,
 }
 
 /// A line of the board: when, in ms since power-on, and what.
@@ -100,14 +109,20 @@ pub type Line = (f64, String);
 impl Board {
     /// Its slots hold these bytes; `None`: this compiler is too old for the model.
     pub fn with(a: &[u8], b: &[u8]) -> Option<Self> {
-        parts()?;
-        let board = Self { folder: tempfile::tempdir().expect("a folder") };
+        let boot = parts()?.boot.clone();
+        let board = Self { folder: tempfile::tempdir().expect("a folder"), boot };
         let mut flash = vec![0xFF; FLASH];
         flash[SLOT_A..SLOT_A + a.len()].copy_from_slice(a);
         let start_of_b = SLOT_A + SLOT_SIZE as usize;
         flash[start_of_b..start_of_b + b.len()].copy_from_slice(b);
         board.write(&flash);
         Some(board)
+    }
+
+    /// And this boot program.
+    pub fn with_boot(mut self, boot: &Path) -> Self {
+        boot.clone_into(&mut self.boot);
+        self
     }
 
     /// And a file is there to be loaded.
@@ -143,7 +158,7 @@ impl Board {
 
     /// Lives for so long from power-on; gives the model's report.
     pub fn report(&self, ms: u32, script: &str, options: &[&str]) -> Report {
-        let Parts { model, boot, .. } = parts().expect("it is there");
+        let model = &parts().expect("it is there").model;
         let script_file = self.folder.path().join("script");
         fs::write(&script_file, script).expect("a folder of the test");
         let (ms, flash) = (ms.to_string(), self.path());
@@ -151,7 +166,7 @@ impl Board {
             (flash.to_str().expect("plain"), script_file.to_str().expect("plain"));
         let own = ["--bor", "--ms", &ms, "--flash", flash, "--script", script_file];
         let all = [&own[..], options].concat();
-        chip::run_silent(model, boot, &all).expect("the model runs")
+        chip::run_silent(model, &self.boot, &all).expect("the model runs")
     }
 
     /// Lives for so long; gives what it said and its resets. Nothing of it may be against the manual.

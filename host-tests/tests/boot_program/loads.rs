@@ -66,7 +66,7 @@ fn download_in_blocks(image: &[u8], from_ms: f64) -> (String, f64) {
 }
 
 /// Returns the last answer about an object.
-fn answer(events: &[String], (index, subindex): (u16, u8)) -> Option<u32> {
+pub fn answer(events: &[String], (index, subindex): (u16, u8)) -> Option<u32> {
     let [low, high] = index.to_le_bytes();
     events.iter().rev().find_map(|event| {
         let hex = event.split_once(" can 581 ")?.1;

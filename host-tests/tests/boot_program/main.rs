@@ -7,7 +7,9 @@ mod board;
 mod cuts;
 mod full_store;
 mod hangs;
+mod key_change;
 mod loads;
+mod reasons;
 #[path = "../support/sdo_script.rs"]
 mod sdo_script;
 mod starts;

@@ -11,6 +11,7 @@
 //! | PLL dead | 16 MHz, and a signature that was verified at the download is not verified again |
 //! | RAM | the upper 32 KB, where the application has its stack: what outlasts a reset there lies lower |
 //! | watchdog | 0.5 to 1.5 s, by its oscillator; then 0.3 to 0.9 s, which the application keeps until its tasks run |
+//! | reason | handed to the image in three words at the end of the RAM (`trueup_boot::handover`) |
 //! | no image | the watchdog resets, and it looks again: a supply that dipped may have been the cause |
 //!
 //! It allocates nothing, and no panic can be reached (host-tests, `boot_program`). Section numbers are those of RM0090
@@ -22,17 +23,18 @@ mod clocks;
 mod flash;
 mod watchdog;
 
-use core::panic::PanicInfo;
+use core::{panic::PanicInfo, ptr::write_volatile};
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use stm32f4xx_hal::pac::{Peripherals, RCC};
 use trueup_boot::{
+    handover::Choice,
     header::HEADER_SIZE,
     journal::Journal,
     key::{KEY_SIZE, PublicKey},
-    layout::Slot,
-    start::{Ending, choose},
+    layout::{HANDOVER_START, Slot},
+    start::{Ending, Start, choose},
 };
 
 use watchdog::{CHOICE, START};
@@ -54,6 +56,7 @@ fn main() -> ! {
     clocks::stop(&device.RCC, slots.controller());
     watchdog::set(&device.IWDG, START);
     if let Some(start) = start {
+        hand_over(&start);
         enter(start.image.header.slot);
     }
     loop {
@@ -68,6 +71,16 @@ fn ending(rcc: &RCC) -> Ending {
         || flags.wwdgrstf().bit_is_set()
         || flags.sftrstf().bit_is_set();
     if is_reset { Ending::Reset } else { Ending::PowerCycle }
+}
+
+/// Writes why the image starts where it looks for it.
+#[allow(unsafe_code, reason = "words that both programs know by their address")]
+fn hand_over(start: &Start) {
+    let words = Choice::from(start).hand_over(start.image.tag);
+    for (at, word) in (HANDOVER_START..).step_by(4).zip(words) {
+        // SAFETY: an aligned word of the RAM, above the stack, which nothing else of this program uses.
+        unsafe { write_volatile(at as *mut u32, word) };
+    }
 }
 
 /// Starts the image of a slot, whose vector table follows its header.

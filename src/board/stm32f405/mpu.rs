@@ -21,7 +21,7 @@ use cortex_m::{
 
 /// The guard below the stack: below [`STACK`], and above all variables (`guard.x`).
 pub const GUARD: Range<u32> = 0x2000_A000..0x2000_C000;
-/// The stack.
+/// The stack; in a slot its last 16 bytes are what the boot program hands over.
 pub const STACK: Range<u32> = 0x2000_C000..0x2002_0000;
 
 /// Region of the store.

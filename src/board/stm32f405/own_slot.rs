@@ -5,16 +5,22 @@
 //! which the boot program has left room for: 16 words, 0.3 ms in which the core stands still, 1.6 ms at most; nothing
 //! is erased.
 //!
+//! The boot program has handed over why it chose this image; the words are cleared as they are read, so that they are never
+//! taken for those of another start.
+//!
 //! A new image is written at rest alone. The core stands still for up to 4 s while the other slot is erased: no sample, no
 //! frame and no heartbeat meanwhile. Each part of 256 bytes takes 1 ms, 6.4 ms at most, in pieces of a word.
 
+use core::ptr::{read_volatile, write_volatile};
+
 use stm32f4xx_hal::pac::FLASH;
 use trueup_boot::{
+    handover::{Choice, WORDS},
     header::{HEADER_SIZE, Version},
     inspect::{Defect, Image, read_header},
     journal::Journal,
     key::PublicKey,
-    layout::Slot,
+    layout::{HANDOVER_START, Slot},
     record::Status,
     refusal::Refusal,
     update::{Update, UpdateError, announce, confirm, slot_at},
@@ -64,6 +70,8 @@ pub struct OwnSlot {
     /// `None`: it has no header, as after a probe without one.
     image: Option<Image>,
     healthy_ms: u32,
+    /// Why the boot program chose this image; `None`: it has not handed it over.
+    choice: Option<Choice>,
 }
 
 impl OwnSlot {
@@ -76,6 +84,8 @@ impl OwnSlot {
         let slot = slot_at(Self::look as *const () as u32);
         let image = read_header(&mut slots, slot, Version::default()).ok();
         let journal = Journal::open(records);
+        let handed = take_handover();
+        let choice = image.and_then(|image| Choice::take_over(handed, image.tag));
         match &image {
             Some(image) => {
                 let status = journal.state().status(slot, image.tag);
@@ -84,7 +94,7 @@ impl OwnSlot {
             }
             None => defmt::warn!("the slot of this image has no header"),
         }
-        Self { journal, slots, update: None, piece: Piece::new(), image, healthy_ms: 0 }
+        Self { journal, slots, update: None, piece: Piece::new(), image, healthy_ms: 0, choice }
     }
 
     /// Returns the state of both slots; `None`: this image has no header, so nothing can be loaded next to it.
@@ -97,7 +107,8 @@ impl OwnSlot {
         });
         let [(version_a, a), (version_b, b)] = [a, b].map(Option::unwrap_or_default);
         let floor = state.floor.0;
-        Some(Slots { running, versions: [version_a, version_b], status: [a, b], floor })
+        let choice = self.choice.map_or(0, Choice::encode);
+        Some(Slots { running, versions: [version_a, version_b], status: [a, b], floor, choice })
     }
 
     /// Does a step of an update, with the bytes of [`Self::piece`]; an error is the number of the refusal.
@@ -179,4 +190,19 @@ impl OwnSlot {
             defmt::error!("the reset is not announced: on trial it counts as a failure");
         }
     }
+}
+
+/// Returns the words that the boot program has handed over, and clears them.
+#[allow(unsafe_code, reason = "words that both programs know by their address")]
+fn take_handover() -> [u32; WORDS] {
+    let mut words = [0; WORDS];
+    for (at, word) in (HANDOVER_START..).step_by(4).zip(&mut words) {
+        let place = at as *mut u32;
+        // SAFETY: an aligned word of the RAM above the stack, which nothing else of this image uses.
+        unsafe {
+            *word = read_volatile(place);
+            write_volatile(place, 0);
+        }
+    }
+    words
 }

@@ -31,7 +31,20 @@ const SETTINGS: &str = "SLOT_TEST";
 /// # Errors
 /// It does not compile, does not fit its sectors, or there is no way to the target.
 pub fn build_boot() -> Result<PathBuf> {
-    let image = build("boot", "trueup-boot-program", "boot", None)?;
+    build_boot_for(None)
+}
+
+/// Builds the boot program for another public key (PEM), under another name.
+///
+/// # Errors
+/// As [`build_boot`].
+pub fn build_boot_with_key(key: &Path) -> Result<PathBuf> {
+    build_boot_for(Some(key))
+}
+
+fn build_boot_for(key: Option<&Path>) -> Result<PathBuf> {
+    let name = if key.is_some() { "boot-with-key" } else { "boot" };
+    let image = build("boot", "trueup-boot-program", name, None, key)?;
     let size = binary::of(&image)?.len();
     ensure!(size <= BOOT_SIZE as usize, "the boot program has {size} bytes, above {BOOT_SIZE}");
     Ok(image)
@@ -43,7 +56,16 @@ pub fn build_boot() -> Result<PathBuf> {
 /// As [`build_boot`].
 pub fn build_slot_test(slot: Slot) -> Result<PathBuf> {
     let name = format!("slot-test-{}", slot.name());
-    build("slot-test", "trueup-slot-test", &name, Some(slot))
+    build("slot-test", "trueup-slot-test", &name, Some(slot), None)
+}
+
+/// Builds the same for another public key (PEM), under another name.
+///
+/// # Errors
+/// As [`build_boot`].
+pub fn build_slot_test_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
+    let name = format!("slot-test-with-key-{}", slot.name());
+    build("slot-test", "trueup-slot-test", &name, Some(slot), Some(key))
 }
 
 /// Returns cargo commands for the boot program with the image of its tests, and for the application in a slot:
@@ -180,8 +202,18 @@ fn signing_key() -> Result<PrivateKey> {
     Ok(key)
 }
 
-fn build(feature: &str, program: &str, name: &str, slot: Option<Slot>) -> Result<PathBuf> {
-    let (command, folder) = cargo_for(feature, program, slot)?;
+/// Builds a program; with `key`, for that public key in the place of what the environment names.
+fn build(
+    feature: &str,
+    program: &str,
+    name: &str,
+    slot: Option<Slot>,
+    key: Option<&Path>,
+) -> Result<PathBuf> {
+    let (mut command, folder) = cargo_for(feature, program, slot)?;
+    if let Some(key) = key {
+        command.env("TRUEUP_KEY", key);
+    }
     build_with(command, &folder, program, name, |_| Ok(()))
 }
 

@@ -159,7 +159,7 @@ impl Board {
     fn live(&mut self, supply: &Supply, story: Story) -> Result<(), Off> {
         let mut ending = Ending::PowerCycle;
         for _ in 0..4 {
-            let Start { image, reason } = self.start(supply, ending)?;
+            let Start { image, reason, .. } = self.start(supply, ending)?;
             ending = Ending::Reset;
             match (image.header.slot, story) {
                 (Slot::A, Story::Crashes) if reason == Reason::WentBack => {

@@ -17,6 +17,12 @@ pub const SLOT_SIZE: u32 = 192 * 1024;
 /// The sectors of each slot: the first, and how many.
 pub const SLOT_SECTORS: [(u8, u8); 2] = [(4, 2), (6, 2)];
 
+/// First address of what the boot program hands to the image (`handover`): the end of the RAM, where neither has its
+/// stack.
+pub const HANDOVER_START: u32 = 0x2001_FFF0;
+/// Bytes of it: a multiple of 16, which the image's test of the RAM takes at once.
+pub const HANDOVER_SIZE: u32 = 16;
+
 /// One of the two places for an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {
@@ -95,5 +101,6 @@ mod tests {
         assert_eq!(RECORDS_START + 2 * RECORDS_SECTOR_SIZE, SLOTS_START);
         assert_eq!(Slot::B.start(), 0x0804_0000, "sector 6");
         assert!(Slot::B.start() + SLOT_SIZE <= 0x0808_0000, "sector 8 is the store's");
+        assert_eq!(HANDOVER_START + HANDOVER_SIZE, 0x2002_0000, "the end of the RAM");
     }
 }

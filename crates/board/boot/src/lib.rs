@@ -10,7 +10,7 @@
 //!
 //! `layout` has these places once, `header` the 512 bytes in front of an image, `inspect` whether a slot holds
 //! an image that may run, `record` the state of the slots and `journal` its way into the flash, `start` the
-//! decision, `update` the way of a new image into the spare slot and its confirmation, `refusal` why one is refused, `key` the signature.
+//! decision, `handover` its way to the image that starts, `update` the way of a new image into the spare slot and its confirmation, `refusal` why one is refused, `key` the signature.
 //!
 //! # An update
 //!
@@ -37,6 +37,7 @@ extern crate std;
 mod crc;
 #[cfg(test)]
 mod cuts;
+pub mod handover;
 pub mod hash;
 pub mod header;
 pub mod inspect;

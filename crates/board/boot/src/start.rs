@@ -58,6 +58,8 @@ pub struct Start {
     pub image: Image,
     /// Why it starts.
     pub reason: Reason,
+    /// Status of the image in the other slot; `None`: it has no valid header.
+    pub other: Option<Status>,
 }
 
 /// A slot that may start.
@@ -97,7 +99,10 @@ pub fn choose<R: NorFlash, S: ReadNorFlash, K: Key>(
     let chosen = chosen.or_else(|| all().find(|it| holds(it, is_slow)))?;
     let other = all().find(|it| it.image != chosen.image);
     let is_newest = other.is_none_or(|it| it.image.header.version <= chosen.image.header.version);
-    let start = |it: &Candidate, reason| Some(Start { image: it.image, reason });
+    let start = |it: &Candidate, reason| {
+        let other = all().find(|other| other.image != it.image).map(|other| other.status);
+        Some(Start { image: it.image, reason, other })
+    };
     let starts = match chosen.status {
         Status::New | Status::Verified => 1,
         Status::Trial(starts) | Status::Announced(starts) => starts.saturating_add(1),
@@ -149,5 +154,7 @@ fn ordered(state: &State, headers: &[Result<Image, Defect>; 2]) -> [Option<Candi
     if rank(b) > rank(a) { [b, a] } else { [a, b] }
 }
 
+#[cfg(test)]
+mod key_change;
 #[cfg(test)]
 mod tests;

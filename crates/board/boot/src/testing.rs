@@ -104,7 +104,7 @@ impl<const SECTOR: usize> NorFlash for Powered<SECTOR> {
 }
 
 /// A key whose signatures are checksums.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TestKey(pub u32);
 
 impl TestKey {

@@ -206,6 +206,9 @@ pub enum ObjectKind {
     SlotStatus(u8),
     /// The oldest version that may start.
     FirmwareFloor,
+    /// Why the boot program chose the slot that runs: its reason, start on trial, and the status of the other slot then, as
+    /// [`Self::SlotStatus`] has it, from the lowest byte; 0: it has not handed it over.
+    SlotChoice,
     /// The last writes to the board.
     WriteLog,
     /// Seconds since 1970 (UTC); 0: the time was never set.

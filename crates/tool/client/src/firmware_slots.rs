@@ -5,15 +5,17 @@ use std::fmt;
 use anyhow::{Context as _, Result};
 use serde_json::{Value, json};
 use trueup_boot::{
+    handover::Choice,
     header::Version,
     layout::Slot,
     record::{MAX_STARTS, Status},
+    start::Reason,
 };
 use trueup_canopen::sdo::{Abort, client::ClientError};
 
 use crate::{
     firmware_file::{FirmwareFile, SlotFirmware},
-    object::{self, FIRMWARE_FLOOR, RUNNING_SLOT, SLOT_STATUS, SLOT_VERSION},
+    object::{self, FIRMWARE_FLOOR, RUNNING_SLOT, SLOT_CHOICE, SLOT_STATUS, SLOT_VERSION},
     session::Session,
 };
 
@@ -35,9 +37,11 @@ pub struct SlotsState {
     pub slots: [SlotContent; 2],
     /// The oldest version that may start.
     pub floor: Version,
+    /// The reason that the boot program has handed over; `None`: it has not, because it is older than that.
+    pub reported: Option<Choice>,
 }
 
-/// Why the last start chose the slot that runs, by what the slots hold.
+/// Why the last start chose the slot that runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartChoice {
     /// It is confirmed, and there is no other one.
@@ -46,16 +50,20 @@ pub enum StartChoice {
     Newest,
     /// It is on trial: which start of [`MAX_STARTS`] this is.
     Trial(u8),
+    /// It was on trial, in this start of [`MAX_STARTS`], and has been confirmed since.
+    TrialPassed(u8),
     /// It is not confirmed, but there is none to go back to.
     Alone,
+    /// It had none to go back to, and has been confirmed since.
+    AloneConfirmed,
     /// It is confirmed; the newer one has come since, and waits for the next start.
     NewerWaits,
     /// It is confirmed; the newer one failed its trial.
     NewerRejected,
     /// It is confirmed; the newer one has not come whole.
     NewerIncomplete,
-    /// It is confirmed; the newer one was passed over, for its CRC or signature does not hold.
-    NewerDamaged,
+    /// It is confirmed; the newer one was passed over.
+    NewerPassedOver,
     /// It failed its trial or is incomplete, but the other one does not hold.
     LastResort,
     /// The board reports a status that this tool does not know.
@@ -158,12 +166,20 @@ impl fmt::Display for StartChoice {
                      minute; until then a crash or a hang goes back to the other one"
                 );
             }
+            Self::TrialPassed(starts) => {
+                return write!(
+                    f,
+                    "it is the newest, and was on trial: start {starts} of {MAX_STARTS}; it has been confirmed since"
+                );
+            }
+            Self::AloneConfirmed => "there was none to go back to; it has been confirmed since",
             Self::Alone => "it is not confirmed, and there is none to go back to",
             Self::NewerWaits => "it is confirmed; the newer one waits for the next start",
             Self::NewerRejected => "it is confirmed; the newer one failed its trial",
             Self::NewerIncomplete => "it is confirmed; the newer one has not come whole",
-            Self::NewerDamaged => {
-                "it is confirmed; the CRC or the signature of the newer one does not hold"
+            Self::NewerPassedOver => {
+                "it is confirmed; the newer one was passed over: its CRC or signature does not hold, or the PLL is dead \
+                 and its signature was not verified before, or its start could not be recorded"
             }
             Self::LastResort => {
                 "it failed its trial or has not come whole, but no other one may start: update it"
@@ -217,7 +233,11 @@ impl SlotsState {
         let running = running.context("the bridge runs from a slot that is neither A nor B")?;
         let slots = [content(session, Slot::A)?, content(session, Slot::B)?];
         let floor = Version(object::number(session, FIRMWARE_FLOOR)?);
-        Ok(Some(Self { running, slots, floor }))
+        let reported = match object::number(session, SLOT_CHOICE) {
+            Err(error) if is_without_slots(&error) => None,
+            word => Choice::decode(word?),
+        };
+        Ok(Some(Self { running, slots, floor, reported }))
     }
 
     /// Returns the content of a slot.
@@ -226,9 +246,35 @@ impl SlotsState {
         slot.of(&self.slots)
     }
 
-    /// Returns why the last start chose the slot that runs, by the rules of `trueup_boot::start`.
+    /// Returns why the last start chose the slot that runs: as the boot program has it, else by what the slots hold.
     #[must_use]
     pub fn choice(&self) -> StartChoice {
+        self.reported.map_or_else(|| self.derived(), |choice| self.explain(choice))
+    }
+
+    /// Returns the reason of the boot program, with what has happened since.
+    fn explain(&self, Choice { reason, other }: Choice) -> StartChoice {
+        let (ours, spare) = (self.content(self.running), self.content(self.running.other()));
+        let is_confirmed = ours.status == Some(Status::Confirmed);
+        let waits = spare.version > ours.version && spare.status == Some(Status::Verified);
+        match (reason, other) {
+            (Reason::Trial(start), _) if is_confirmed => StartChoice::TrialPassed(start),
+            (Reason::Trial(start), _) => StartChoice::Trial(start),
+            (Reason::Alone, _) if is_confirmed => StartChoice::AloneConfirmed,
+            (Reason::Alone, _) => StartChoice::Alone,
+            (Reason::Newest, _) if waits => StartChoice::NewerWaits,
+            (Reason::Newest, None) => StartChoice::Only,
+            (Reason::Newest, Some(_)) => StartChoice::Newest,
+            (Reason::WentBack, Some(Status::Rejected)) => StartChoice::NewerRejected,
+            (Reason::WentBack, Some(Status::Loading)) => StartChoice::NewerIncomplete,
+            (Reason::WentBack, _) => StartChoice::NewerPassedOver,
+            (Reason::LastResort, _) => StartChoice::LastResort,
+        }
+    }
+
+    /// Returns why the slot that runs was probably chosen, by the rules of `trueup_boot::start` and what the slots hold
+    /// now. It cannot know a dead PLL, records that take nothing, or a trial that was passed since.
+    fn derived(&self) -> StartChoice {
         let (ours, other) = (self.content(self.running), self.content(self.running.other()));
         let Some(status) = ours.status else { return StartChoice::Unknown };
         match status {
@@ -244,7 +290,7 @@ impl SlotsState {
                 Some(Status::Rejected) => StartChoice::NewerRejected,
                 Some(Status::Loading) => StartChoice::NewerIncomplete,
                 Some(Status::New | Status::Trial(_) | Status::Announced(_) | Status::Confirmed) => {
-                    StartChoice::NewerDamaged
+                    StartChoice::NewerPassedOver
                 }
             },
         }
@@ -282,6 +328,7 @@ impl SlotsState {
             "b": self.content(Slot::B).json(),
             "oldest_version": self.floor.to_string(),
             "chosen_because": self.choice().to_string(),
+            "choice_reported": self.reported.is_some(),
         })
     }
 }
@@ -307,17 +354,18 @@ mod tests {
 
     const OLD: Option<Version> = Some(Version::new(1, 0, 0, 0));
     const NEW: Option<Version> = Some(Version::new(1, 1, 0, 0));
+    const LATER: Option<Version> = Some(Version::new(1, 2, 0, 0));
 
     /// The board runs from B.
     fn state(ours: (Option<Version>, Status), other: (Option<Version>, Status)) -> SlotsState {
         let content =
             |(version, status): (_, Status)| SlotContent { version, status: Some(status) };
         let slots = [content(other), content(ours)];
-        SlotsState { running: Slot::B, slots, floor: Version(0) }
+        SlotsState { running: Slot::B, slots, floor: Version(0), reported: None }
     }
 
     #[test]
-    fn each_start_is_explained_by_statuses_and_versions() {
+    fn without_a_report_a_start_is_explained_by_statuses_and_versions() {
         use Status::{Announced, Confirmed, Loading, New, Rejected, Trial, Verified};
         for (ours, other, choice) in [
             ((OLD, Confirmed), (None, New), StartChoice::Only),
@@ -332,10 +380,10 @@ mod tests {
             ((OLD, Confirmed), (NEW, Verified), StartChoice::NewerWaits),
             ((OLD, Confirmed), (NEW, Rejected), StartChoice::NewerRejected),
             ((OLD, Confirmed), (NEW, Loading), StartChoice::NewerIncomplete),
-            ((OLD, Confirmed), (NEW, New), StartChoice::NewerDamaged),
-            ((OLD, Confirmed), (NEW, Trial(1)), StartChoice::NewerDamaged),
-            ((OLD, Confirmed), (NEW, Announced(1)), StartChoice::NewerDamaged),
-            ((OLD, Confirmed), (NEW, Confirmed), StartChoice::NewerDamaged),
+            ((OLD, Confirmed), (NEW, New), StartChoice::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Trial(1)), StartChoice::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Announced(1)), StartChoice::NewerPassedOver),
+            ((OLD, Confirmed), (NEW, Confirmed), StartChoice::NewerPassedOver),
             ((NEW, Rejected), (OLD, Confirmed), StartChoice::LastResort),
             ((NEW, Loading), (None, New), StartChoice::LastResort),
         ] {
@@ -346,6 +394,89 @@ mod tests {
         assert_eq!(later.choice(), StartChoice::Unknown);
         later.slots[1].status = None;
         assert_eq!(later.choice(), StartChoice::Unknown);
+    }
+
+    #[test]
+    fn the_reason_of_the_boot_program_counts_and_what_has_happened_since() {
+        use Status::{Confirmed, Loading, New, Rejected, Trial, Verified};
+        for (reason, other, ours, spare, choice, derived) in [
+            // Where the derivation agrees.
+            (Reason::Newest, None, Confirmed, (None, New), StartChoice::Only, true),
+            (Reason::Newest, Some(Rejected), Confirmed, (OLD, Rejected), StartChoice::Newest, true),
+            (
+                Reason::Trial(2),
+                Some(Confirmed),
+                Trial(2),
+                (OLD, Confirmed),
+                StartChoice::Trial(2),
+                true,
+            ),
+            (Reason::Alone, None, New, (None, New), StartChoice::Alone, true),
+            (
+                Reason::WentBack,
+                Some(Rejected),
+                Confirmed,
+                (LATER, Rejected),
+                StartChoice::NewerRejected,
+                true,
+            ),
+            (
+                Reason::WentBack,
+                Some(Loading),
+                Confirmed,
+                (LATER, Loading),
+                StartChoice::NewerIncomplete,
+                true,
+            ),
+            (
+                Reason::WentBack,
+                Some(New),
+                Confirmed,
+                (LATER, New),
+                StartChoice::NewerPassedOver,
+                true,
+            ),
+            (Reason::LastResort, None, Rejected, (None, New), StartChoice::LastResort, true),
+            (
+                Reason::Newest,
+                Some(Confirmed),
+                Confirmed,
+                (LATER, Verified),
+                StartChoice::NewerWaits,
+                true,
+            ),
+            // Where it cannot know.
+            (
+                Reason::WentBack,
+                Some(Verified),
+                Confirmed,
+                (LATER, Verified),
+                StartChoice::NewerPassedOver,
+                false,
+            ),
+            (
+                Reason::WentBack,
+                Some(Rejected),
+                Confirmed,
+                (LATER, Verified),
+                StartChoice::NewerRejected,
+                false,
+            ),
+            (
+                Reason::Trial(3),
+                Some(Confirmed),
+                Confirmed,
+                (OLD, Confirmed),
+                StartChoice::TrialPassed(3),
+                false,
+            ),
+            (Reason::Alone, None, Confirmed, (None, New), StartChoice::AloneConfirmed, false),
+        ] {
+            let mut state = state((NEW, ours), spare);
+            assert_eq!(state.choice() == choice, derived, "{reason:?} {other:?} {spare:?}");
+            state.reported = Some(Choice { reason, other });
+            assert_eq!(state.choice(), choice, "{reason:?} {other:?} {spare:?}");
+        }
     }
 
     #[test]

@@ -114,6 +114,8 @@ pub const SLOT_VERSION: [At; 2] = [(0x2121, 2), (0x2121, 3)];
 pub const SLOT_STATUS: [At; 2] = [(0x2121, 4), (0x2121, 5)];
 /// The oldest firmware version that may start.
 pub const FIRMWARE_FLOOR: At = (0x2121, 6);
+/// Why the boot program chose the slot that runs: a [`Choice`](trueup_boot::handover::Choice); 0: it does not say.
+pub const SLOT_CHOICE: At = (0x2121, 7);
 
 /// No answer has come, and for how long it was waited for.
 #[derive(Debug)]

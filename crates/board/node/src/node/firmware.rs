@@ -34,6 +34,8 @@ pub struct Slots {
     pub status: [[u8; 2]; 2],
     /// The oldest version that may start.
     pub floor: u32,
+    /// Why the boot program chose the one that runs, by its own encoding; 0: it has not handed it over.
+    pub choice: u32,
 }
 
 /// The next step of the board.
@@ -92,6 +94,7 @@ impl Firmware {
                 u16::from_le_bytes(*status).into()
             }
             ObjectKind::FirmwareFloor => slots?.floor,
+            ObjectKind::SlotChoice => slots?.choice,
             _ => return Err(Abort::WriteOnly),
         })
     }

@@ -24,7 +24,8 @@ fn in_service(buffer: &mut [u8]) -> Node<'_> {
         node.receive(Interface::Can, &frames::control(service, counter)).expect("in order");
     }
     let status = [[5, 0], [3, 2]];
-    node.note_slots(Slots { running: 1, versions: [0x0102_0300, 0x0102_0400], status, floor: 7 });
+    let versions = [0x0102_0300, 0x0102_0400];
+    node.note_slots(Slots { running: 1, versions, status, floor: 7, choice: 0x0005_0202 });
     node
 }
 
@@ -179,5 +180,6 @@ fn the_slots_are_read_as_the_table_of_objects_has_them() {
     assert_eq!([0, 1].map(|slot| read(O::SlotVersion(slot))), [0x0102_0300, 0x0102_0400]);
     assert_eq!([0, 1].map(|slot| read(O::SlotStatus(slot))), [5, 0x0203]);
     assert_eq!(read(O::FirmwareFloor), 7);
+    assert_eq!(read(O::SlotChoice), 0x0005_0202);
     assert_eq!(node.read(O::FirmwareImage), Err(Abort::WriteOnly));
 }

@@ -132,7 +132,8 @@ impl Node<'_> {
             | ObjectKind::RunningSlot
             | ObjectKind::SlotVersion(_)
             | ObjectKind::SlotStatus(_)
-            | ObjectKind::FirmwareFloor => self.firmware.number(what)?,
+            | ObjectKind::FirmwareFloor
+            | ObjectKind::SlotChoice => self.firmware.number(what)?,
             ObjectKind::Forget
             | ObjectKind::DropNew
             | ObjectKind::FirmwareHeader

@@ -179,8 +179,13 @@ fn print_slots(slots: &SlotsState) -> Result<()> {
         slots.content(running)
     ))?;
     output::print(format_args!("firmware     slot {}: {}", spare.name(), slots.content(spare)))?;
+    let by = if slots.reported.is_some() {
+        ""
+    } else {
+        " (by what the slots hold now: this boot program does not report its reason)"
+    };
     output::print(format_args!(
-        "firmware     slot {} was chosen: {}",
+        "firmware     slot {} was chosen: {}{by}",
         running.name(),
         slots.choice()
     ))?;

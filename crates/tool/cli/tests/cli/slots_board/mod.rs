@@ -12,13 +12,13 @@ use std::{
 };
 
 use trueup_boot::{
+    handover::Choice,
     header::Version,
-    inspect::Image,
     journal::Journal,
     key::PublicKey,
     layout::{SLOT_SIZE, Slot},
     refusal::Refusal,
-    start::{Clock, Ending, choose},
+    start::{Clock, Ending, Start, choose},
     update::{self, Update},
 };
 use trueup_core::{bridge::Input, cnc::Control};
@@ -119,7 +119,7 @@ struct Board {
     journal: Journal<Records>,
     slots: SlotFlash,
     key: PublicKey,
-    running: Image,
+    running: Start,
     update: Option<Update>,
 }
 
@@ -130,12 +130,13 @@ impl Board {
         let mut slots = SlotFlash::erased();
         slots.bytes[..PART].copy_from_slice(&part(Slot::A, 1, &maker()));
         let mut running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
-        update::confirm(&mut journal, &running).expect("room");
+        update::confirm(&mut journal, &running.image).expect("room");
+        running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
         if setup.is_on_trial {
             let start = SLOT_SIZE as usize;
             slots.bytes[start..start + PART].copy_from_slice(&part(Slot::B, 2, &maker()));
             running = boot(&mut journal, &mut slots, &key, Ending::PowerCycle);
-            assert_eq!(running.header.slot, Slot::B);
+            assert_eq!(running.image.header.slot, Slot::B);
         }
         let (node, port) = started(Box::leak(paper().blob().into()));
         let mut board = Self { setup, node, port, journal, slots, key, running, update: None };
@@ -153,8 +154,9 @@ impl Board {
         let status = Slot::BOTH
             .map(|slot| state.status(slot, slot.of(&images).map_or(0, |image| image.tag)).encode());
         let versions = images.map(|image| image.map_or(0, |it| it.header.version.0));
-        let running = self.running.header.slot.number();
-        self.node.note_slots(Slots { running, versions, status, floor: state.floor.0 });
+        let running = self.running.image.header.slot.number();
+        let choice = Choice::from(&self.running).encode();
+        self.node.note_slots(Slots { running, versions, status, floor: state.floor.0, choice });
     }
 
     fn take(&mut self, step: Step, piece: &Piece) -> Result<(), Refusal> {
@@ -163,7 +165,7 @@ impl Board {
             Step::Begin => {
                 self.update = None;
                 let header = piece.first_chunk().expect("512 bytes");
-                self.update = Some(Update::begin(journal, slots, &self.running, header)?);
+                self.update = Some(Update::begin(journal, slots, &self.running.image, header)?);
             }
             Step::Write => {
                 self.update.as_mut().expect("under way").append(slots, piece)?;
@@ -177,13 +179,13 @@ impl Board {
     }
 
     fn restart(&mut self) {
-        update::announce(&mut self.journal, &self.running).expect("room");
-        let before = self.running.header.slot;
+        update::announce(&mut self.journal, &self.running.image).expect("room");
+        let before = self.running.image.header.slot;
         let boot = |board: &mut Self, ending| {
             boot(&mut board.journal, &mut board.slots, &board.key, ending)
         };
         self.running = boot(self, Ending::Reset);
-        if self.setup.crashes && self.running.header.slot != before {
+        if self.setup.crashes && self.running.image.header.slot != before {
             self.running = boot(self, Ending::Reset);
         }
         (self.node, self.port) = started(Box::leak(self.node.blob().into()));
@@ -260,12 +262,12 @@ impl Board {
     }
 }
 
-/// The boot program: returns the image that it starts.
+/// The boot program: returns the start that it chooses.
 fn boot(
     journal: &mut Journal<Records>,
     slots: &mut SlotFlash,
     key: &PublicKey,
     ending: Ending,
-) -> Image {
-    choose(journal, slots, key, ending, Clock::Full, || ()).expect("an image holds").image
+) -> Start {
+    choose(journal, slots, key, ending, Clock::Full, || ()).expect("an image holds")
 }

@@ -1,0 +1,96 @@
+//! The reason of a start, as the boot program hands it to the application and object 0x2121:07 has it: each once.
+
+use std::thread;
+
+use trueup_boot::{
+    handover::Choice,
+    journal::Journal,
+    layout::{FLASH_START, HANDOVER_START, RECORDS_SECTOR_SIZE, RECORDS_START, Slot},
+    record::{State, Status},
+    start::Reason,
+};
+use trueup_store::strict_flash::StrictFlash;
+
+use crate::{
+    application::application,
+    board::{Board, GOOD, RESETS, boot, file, foreign},
+    loads::answer,
+    sdo_script::questions,
+};
+
+const CHOICE: (u16, u8) = (0x2121, 7);
+/// The application answers by then, also behind an image that has reset.
+const ASK_MS: u32 = 600;
+
+/// The boot program has ended after this, and the application has read the words within 60 ms of it.
+const FLIPS_MS: u32 = 60;
+
+/// Returns the records that hold a status of the image of this file.
+fn records(slot: Slot, file: &[u8], status: Status) -> Vec<u8> {
+    let tag = u32::from_le_bytes(file[508..512].try_into().expect("a header"));
+    let flash = StrictFlash::<{ RECORDS_SECTOR_SIZE as usize }>::erased();
+    let mut journal = Journal::open(flash);
+    journal.commit(State::default().with(slot, tag, status)).expect("room");
+    journal.into_flash().bytes
+}
+
+/// Returns a board with these slots and the application in slot A of this status.
+fn board(a: &[u8], b: &[u8], status: Status) -> Board {
+    let board = Board::with(a, b).expect("it is there");
+    let start = (RECORDS_START - FLASH_START) as usize;
+    let records = records(Slot::A, a, status);
+    board.change(|flash| flash[start..start + records.len()].copy_from_slice(&records));
+    board
+}
+
+/// Returns what the application says of its start at that time in a script.
+fn choice(board: &Board, script: &str, ask_ms: u32) -> Option<Choice> {
+    let script = script.to_owned() + &questions(&[CHOICE], ask_ms.into());
+    let report = board.report(ask_ms + 60, &script, &[]);
+    let word = answer(&report.events, CHOICE);
+    Choice::decode(word.unwrap_or_else(|| panic!("no answer:\n{}", report.said)))
+}
+
+#[test]
+#[ignore = "long: seven starts of the application on the model of the chip"]
+fn each_reason_of_the_boot_program_is_reported_by_the_application() {
+    let Some(_) = boot() else { return };
+    use Status::{Confirmed, New, Rejected};
+    let app = application(Slot::A, 2);
+    let cases = [
+        (vec![], New, "", Reason::Alone, None),
+        (vec![], Confirmed, "", Reason::Newest, None),
+        (vec![], Rejected, "", Reason::LastResort, None),
+        (file(Slot::B, 1, 0, GOOD), New, "", Reason::Trial(1), Some(New)),
+        (file(Slot::B, 1, 0, GOOD), New, "pin", Reason::Trial(2), Some(New)),
+        (foreign(Slot::B, 3), Confirmed, "", Reason::WentBack, Some(New)),
+        (file(Slot::B, 3, 0, RESETS), Confirmed, "", Reason::WentBack, Some(Rejected)),
+    ];
+    thread::scope(|scope| {
+        for (b, status, reset, reason, other) in cases {
+            let app = &app;
+            scope.spawn(move || {
+                let (script, ask_ms) = match reset {
+                    "" => (String::new(), ASK_MS),
+                    reset => (format!("{ASK_MS} reset {reset}\n"), 2 * ASK_MS),
+                };
+                let found = choice(&board(app, &b, status), &script, ask_ms);
+                println!("{reason:?} {other:?}: {found:?}");
+                assert_eq!(found, Some(Choice { reason, other }), "{status:?} {reset}");
+            });
+        }
+    });
+}
+
+#[test]
+#[ignore = "long: the application on the model of the chip"]
+fn a_word_that_was_damaged_on_its_way_is_no_reason() {
+    let Some(_) = boot() else { return };
+    let app = application(Slot::A, 2);
+    let board = board(&app, &[], Status::Confirmed);
+    // Another bit of the word flips every 2 ms while the boot program ends and the application tests its RAM.
+    let place = HANDOVER_START + 4;
+    let flips =
+        (0..32).map(|bit| format!("{} poke {place:x} {:x}\n", FLIPS_MS + 2 * bit, 1_u32 << bit));
+    assert_eq!(choice(&board, &flips.collect::<String>(), ASK_MS), None);
+}
