@@ -79,7 +79,7 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
     if is_right { Ok(run) } else { Err(format!("{run}: {lines:?}")) }
 }
 
-/// Draws runs from a seed on until there were this many cuts; prints each as it ends.
+/// Draws runs from a seed on until there were this many cuts, or one fails; prints each as it ends.
 fn draw(cuts: u32, first: u64) {
     let Some(_) = boot() else { return };
     let (next, done) = (AtomicU64::new(first), AtomicU32::new(0));
@@ -95,7 +95,7 @@ fn draw(cuts: u32, first: u64) {
                 Err(failure) => {
                     println!("seed {seed}: FAILED");
                     failures.push(format!("seed {seed}: {failure}"));
-                    continue;
+                    break;
                 }
             };
             let sum = done.fetch_add(run.cuts, Ordering::Relaxed) + run.cuts;
