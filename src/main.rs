@@ -70,7 +70,11 @@ mod app {
     use stm32f4xx_hal::pac::Interrupt;
     use trueup_canopen::emergency::Fault;
     use trueup_core::{bridge::Input, calibration::Calibration, channels::RawTemperatures};
-    use trueup_link::{frame::Frame, slcan::Port};
+    use trueup_link::{
+        byte_queue::{ByteQueue, Reader, Writer},
+        frame::Frame,
+        slcan::Port,
+    };
     use trueup_modbus::{
         rtu::{RxByte, Slave},
         server::Response,
@@ -118,8 +122,8 @@ mod app {
         can_in_0: CanIn,
         can_in_1: CanIn,
         thermometers: Thermometers,
-        to_listen: Producer<'static, u8>,
-        from_serial: Consumer<'static, u8>,
+        to_listen: Writer<'static, QUEUE>,
+        from_serial: Reader<'static, QUEUE>,
         supervision: Supervision,
         service_switch: ServiceSwitch,
         self_test: SelfTest,
@@ -137,7 +141,7 @@ mod app {
         place.write(Node::new(calibration.copied(), is_degraded))
     }
 
-    #[init(local = [queue: Queue<u8, QUEUE> = Queue::new(), buffer: Buffer = [0; _],
+    #[init(local = [queue: ByteQueue<QUEUE> = ByteQueue::new(), buffer: Buffer = [0; _],
                     bytes_heard: Queue<RxByte, HEARD> = Queue::new(), bytes_said: Queue<u8, ANSWER> = Queue::new(),
                     place: MaybeUninit<Node<'static>> = MaybeUninit::uninit()])]
     fn init(cx: init::Context) -> (Shared, Local) {
@@ -272,10 +276,10 @@ mod app {
     #[task(binds = USART1, priority = 5, local = [serial_in, to_listen])]
     fn serial_receive(cx: serial_receive::Context) {
         let _turn = liveness::enter(Task::SerialReceive);
-        while let Some(byte) = cx.local.serial_in.read() {
-            // A full queue loses the byte; the line it belongs to is then refused and counted.
-            cx.local.to_listen.enqueue(byte).ok();
-        }
+        let mut batch = cx.local.to_listen.batch();
+        // A full queue loses the byte; the line it belongs to is then refused and counted.
+        cx.local.serial_in.read(|byte| _ = batch.push(byte));
+        drop(batch);
         rtic::pend(LISTEN);
     }
 
@@ -289,7 +293,7 @@ mod app {
     #[task(binds = EXTI0, priority = 3, local = [from_serial], shared = [port, node])]
     fn listen(mut cx: listen::Context) {
         let _turn = liveness::enter(Task::Listen);
-        while let Some(byte) = cx.local.from_serial.dequeue() {
+        while let Some(byte) = cx.local.from_serial.pop() {
             if let Some(frame) = cx.shared.port.lock(|port| port.receive(byte)) {
                 cx.shared.node.lock(|node| node.receive(Interface::Serial, &frame)).ok();
             }
@@ -351,10 +355,11 @@ mod app {
             shared.can_out.lock(|can| shared.port.lock(|port| send(&frames, can, port)));
         }
         let (now, quality) = shared.node.lock(|node| (node.now().0, node.last().quality));
-        let (zero, standing, supply) =
-            shared.node.lock(|node| (node.take_zero(), node.take_standing(), node.supply_basis()));
-        if !it.store(zero, standing, supply) {
-            shared.node.lock(|node| node.set_fault(Fault::Store));
+        Supervision::report_zero(shared.node.lock(|node| node.take_zero()));
+        // One record at a time: what else is to be stored waits for a later turn.
+        it.pace_store();
+        if it.may_store() {
+            it.store_standing(&mut shared.node);
         }
         // Looked at and stored outside the lock: neither holds up a tick.
         if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
@@ -378,12 +383,14 @@ mod app {
         {
             shared.node.lock(|node| node.set_fault(Fault::Store));
         }
-        while let Some(write) = shared.node.lock(|node| node.take_write()) {
-            let stored = it.keep_write(&write);
-            shared.node.lock(|node| node.end_write(&write, stored));
+        if it.may_store() {
+            it.store_write(&mut shared.node);
         }
         if shared.node.lock(|node| node.take_restart()) {
             defmt::info!("restart, as a CANopen master asks");
+            // What waits would be lost.
+            it.store_standing(&mut shared.node);
+            while it.store_write(&mut shared.node) {}
             it.retain(&shared.node.lock(|node| node.retained()));
             // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
             shared.port.lock(Port::close);

@@ -1,14 +1,14 @@
 //! Decisions of the supervisor every 10 ms, and its report once a second.
 
 use trueup_canopen::emergency::Fault;
-use trueup_core::{cnc::Quality, supply::Level};
+use trueup_core::cnc::Quality;
 use trueup_link::slcan::Port;
 use trueup_node::node::{Node, Zero};
 use trueup_store::{
     load::{Load, Outcome},
-    reference::{References, Standing},
+    pace::Pace,
+    reference::References,
     retained,
-    writes::Write,
 };
 
 use crate::{
@@ -38,6 +38,7 @@ pub struct Supervision {
     blocks: u32,
     silent: bool,
     until_log_ms: u32,
+    store_pace: Pace,
     #[cfg(feature = "slots")]
     own_slot: crate::board::OwnSlot,
 }
@@ -65,6 +66,7 @@ impl Supervision {
             blocks: 0,
             silent: false,
             until_log_ms: 0,
+            store_pace: Pace::default(),
             #[cfg(feature = "slots")]
             own_slot: crate::board::OwnSlot::look(),
         }
@@ -117,14 +119,33 @@ impl Supervision {
         missing
     }
 
-    /// Stores what holds for the calibration, where that has changed; `false`: it was not stored.
-    pub fn store(&mut self, zero: Option<Zero>, standing: Option<Standing>, supply: Level) -> bool {
+    /// Lets a turn's time pass for [`Self::may_store`].
+    pub fn pace_store(&mut self) {
+        self.store_pace.elapse(PERIOD_MS);
+    }
+
+    /// Returns whether the store takes a record now: one in [`trueup_store::pace::STORE_PERIOD_MS`].
+    pub fn may_store(&self) -> bool {
+        self.store_pace.is_due()
+    }
+
+    /// Logs the outcome of a `Zero` that has changed nothing.
+    pub fn report_zero(zero: Option<Zero>) {
         if zero == Some(Zero::Unchanged) {
             defmt::warn!(
                 "zero: the reference stays, an input is missing, the error is too large or the same"
             );
         }
-        standing.is_none_or(|standing| references::store(&mut self.references, standing, supply))
+    }
+
+    /// Stores what holds for the calibration, where that has changed.
+    pub fn store_standing(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
+        let (standing, supply) = node.lock(|node| (node.take_standing(), node.supply_basis()));
+        let Some(standing) = standing else { return };
+        self.store_pace.record();
+        if !references::store(&mut self.references, standing, supply) {
+            node.lock(|node| node.set_fault(Fault::Store));
+        }
     }
 
     /// Stores the running calibration once more, so that what was loaded after it is not used; `false`: it was not
@@ -134,9 +155,16 @@ impl Supervision {
         store.as_mut().is_some_and(|store| store.store(blob, || watchdog.feed()))
     }
 
-    /// Stores who has written what; gives it with its number, or `None`: it was not stored.
-    pub fn keep_write(&mut self, write: &Write) -> Option<Write> {
-        references::keep_write(&mut self.references, write)
+    /// Stores the oldest write that waits: who has written what. Returns whether there was one.
+    pub fn store_write(
+        &mut self,
+        node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>,
+    ) -> bool {
+        let Some(write) = node.lock(|node| node.take_write()) else { return false };
+        self.store_pace.record();
+        let stored = references::keep_write(&mut self.references, &write);
+        node.lock(|node| node.end_write(&write, stored));
+        true
     }
 
     /// On: live; fast: fault; slow: anything else.

@@ -37,6 +37,8 @@ const SHOWN: &[&str] = &[
     "144 MHz serial_receive",
     "144 MHz serial_moved",
     "144 MHz modbus_line",
+    "16 MHz serial_receive",
+    "16 MHz serial_moved",
     "16 MHz modbus_line",
 ];
 

@@ -219,8 +219,10 @@ impl ServiceSwitch {
 pub struct SerialIn(Rx<USART1>);
 
 impl SerialIn {
-    pub fn read(&mut self) -> Option<u8> {
-        self.0.read().ok()
+    pub fn read(&mut self, mut take: impl FnMut(u8)) {
+        while let Ok(byte) = self.0.read() {
+            take(byte);
+        }
     }
 }
 

@@ -74,12 +74,13 @@ pub struct SerialIn {
 }
 
 impl SerialIn {
-    /// Returns the next byte that came in. `None`: there is none, or it came damaged, or the one after it was
-    /// lost; reading has cleared the error then, and the checksum of the frame shows the rest.
-    pub fn read(&mut self) -> Option<u8> {
-        match &mut self.incoming {
-            Some(_) => self.take_moved(),
-            None => self.take_polled(),
+    /// Hands over the bytes that came in. What came damaged or was lost is missing: the checksum of the frame shows it.
+    pub fn read(&mut self, take: impl FnMut(u8)) {
+        if self.incoming.is_some() {
+            self.take_moved(take);
+        } else {
+            // Another one raises the interrupt again.
+            self.take_polled().into_iter().for_each(take);
         }
     }
 
@@ -94,7 +95,7 @@ impl SerialIn {
     }
 
     #[allow(unsafe_code, reason = "registers of the USART")]
-    fn take_moved(&mut self) -> Option<u8> {
+    fn take_moved(&mut self, take: impl FnMut(u8)) {
         // SAFETY: this side alone reads the status for what came in.
         let usart = unsafe { USART1::steal() };
         let status = usart.sr().read();
@@ -103,18 +104,20 @@ impl SerialIn {
             // the next one is 10 µs away, and one that was overrun has come while the DMA stood.
             let _cleared = usart.dr().read();
         }
-        let incoming = self.incoming.as_mut()?;
+        let Some(incoming) = &mut self.incoming else { return };
         if status.ore().bit_is_set() && !incoming.restart() {
             defmt::error!("dead: DMA of the serial line, bytes come in by interrupt");
             usart.cr3().modify(|_, w| w.dmar().disabled());
             usart.cr1().modify(|_, w| w.idleie().disabled());
             self.incoming = None;
             self.rx.listen();
-            return None;
+            return;
         }
-        incoming.next()
+        incoming.read(take);
     }
 
+    /// Returns the next byte. `None`: there is none, or it came damaged, or the one after it was lost; reading has cleared the
+    /// error then.
     fn take_polled(&mut self) -> Option<u8> {
         match Read::read(&mut self.rx) {
             Ok(byte) => Some(byte),

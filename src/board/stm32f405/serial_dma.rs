@@ -85,20 +85,23 @@ impl Incoming {
         stream.cr().read().en().is_enabled()
     }
 
-    /// Returns the next byte of the ring.
-    pub fn next(&mut self) -> Option<u8> {
+    /// Hands over the bytes of the ring.
+    pub fn read(&mut self, mut take: impl FnMut(u8)) {
         // Before the count is read: an interrupt that comes after it asks again.
         self.clear_flags();
         let left = usize::from(self.dma.st(2).ndtr().read().ndt().bits());
         let written = (RING - left.min(RING)) % RING;
         if self.read == written {
-            return None;
+            return;
         }
         fence(Ordering::SeqCst);
         self.has_moved = true;
-        let byte = IN[self.read].load(Ordering::Relaxed);
-        self.read = (self.read + 1) % RING;
-        Some(byte)
+        let mut read = self.read;
+        while read != written {
+            take(IN[read % RING].load(Ordering::Relaxed));
+            read = (read + 1) % RING;
+        }
+        self.read = read;
     }
 
     fn clear_flags(&self) {

@@ -14,7 +14,7 @@ use crate::{
     loops::{self, Loop},
     rounds,
     source::Source,
-    table::{self, Rounds, Sizes, Spot, Table},
+    table::{self, Once, Rounds, Sizes, Spot, Table},
     values::{self, State},
 };
 
@@ -155,13 +155,13 @@ impl<'a> Program<'a> {
 
     /// Returns the functions that a turn calls once, and the microseconds between two calls.
     #[must_use]
-    pub fn once(&self) -> BTreeMap<u32, f64> {
-        let period = |name: &str| {
+    pub fn once(&self) -> BTreeMap<u32, Once> {
+        let declared = |name: &str| {
             let mut once = self.declared.table.once.iter();
-            once.find(|it| name.contains(it.function)).map(|it| it.period_us)
+            once.find(|it| name.contains(it.function)).copied()
         };
         let all = self.image.functions();
-        all.filter_map(|it| Some((it.start, period(&it.name)?))).collect()
+        all.filter_map(|it| Some((it.start, declared(&it.name)?))).collect()
     }
 
     /// Returns what was missing so far: loops without a bound, calls that lead to nobody knows where.

@@ -127,7 +127,7 @@ fn loads(
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
     let (mut sections, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
     let mut seldom: BTreeMap<u32, Load> = BTreeMap::new();
-    let periods = program.once();
+    let rates = program.once();
     for task in tasks {
         let function = image.function(&task.interrupt);
         let function = function.with_context(|| {
@@ -142,26 +142,29 @@ fn loads(
         let mut load = Load {
             priority: task.priority,
             period: cycles(task.period_us(clock.mhz)).max(1),
-            is_raised: task.is_raised,
+            burst: u64::from(task.is_raised),
             empty,
             each: 0,
+            line_end: 0,
+            line: task.bytes.map_or(1, |bytes| bytes.line.into()),
             gap: task.bytes.map_or(0, |bytes| cycles(bytes.gap_us)),
             waiting: u64::from(waiting.unwrap_or_default()),
             blocking: 0,
         };
         if let Some(bytes) = task.bytes {
-            let (count, line) = (u64::from(bytes.waiting), u64::from(bytes.line));
+            let count = u64::from(bytes.waiting);
             let (within, _) = Worst::turn(&within_line, clock, waiting, entry);
             load.each = within.saturating_sub(empty).div_ceil(count);
-            let per_line = (whole - empty).div_ceil(count).saturating_sub(load.each);
-            load.each += per_line.div_ceil(line);
-            // One line more than there are whole ones.
-            load.empty += per_line;
+            load.line_end = (whole - empty).div_ceil(count).saturating_sub(load.each);
         }
-        turns.push(load.longest() + once.values().sum::<u64>());
+        // All that may come at once may do so in one turn.
+        let in_a_turn = once.iter().map(|(start, cost)| cost * u64::from(1 + rates[start].burst));
+        turns.push(load.longest() + in_a_turn.sum::<u64>());
         for (start, cost) in once {
-            let period = cycles(periods[&start]);
-            let own = Load { period, empty: cost, gap: 0, waiting: 0, each: 0, ..load.clone() };
+            let once = &rates[&start];
+            let (period, burst) = (cycles(once.period_us), once.burst.into());
+            let bytes = Load { gap: 0, waiting: 0, each: 0, line_end: 0, ..load.clone() };
+            let own = Load { period, burst, empty: cost, ..bytes };
             let known = seldom.entry(start).or_insert_with(|| own.clone());
             known.empty = known.empty.max(cost);
             known.priority = known.priority.max(task.priority);

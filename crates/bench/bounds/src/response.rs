@@ -2,8 +2,11 @@
 //! RTIC and critical sections as blocking.
 //!
 //! ```text
-//! R = C + S + B + (bytes in R) · c + Σ over tasks of the same or a higher priority (starts in R) · (C₀ + S) + (bytes in R) · c
+//! R = C + S + B + W(bytes in R) + Σ over tasks of the same or a higher priority (starts in R) · (C₀ + S) + W(bytes in R)
+//! W(n) = n · c + ⌈n / l⌉ · e
 //! ```
+//!
+//! A byte costs c, and e more where it ends a line, which has l bytes at the least.
 //!
 //! A task of the same priority does not interrupt, but may come first: it counts as a higher one. B is the longest section
 //! of a task below whose ceiling reaches the task, once: with immediate ceilings no job waits for two. A task whose
@@ -48,12 +51,16 @@ pub struct Load {
     pub priority: u8,
     /// Cycles between two starts, at the least.
     pub period: u64,
-    /// Software raises its interrupt.
-    pub is_raised: bool,
+    /// Starts that may come at once in addition to those of the period.
+    pub burst: u64,
     /// Cycles of a turn that finds no byte.
     pub empty: u64,
     /// Cycles of each byte that it finds.
     pub each: u64,
+    /// Cycles of the end of a line, in addition.
+    pub line_end: u64,
+    /// Bytes of a line, at the least.
+    pub line: u64,
     /// Cycles between two bytes.
     pub gap: u64,
     /// Bytes that may wait.
@@ -66,7 +73,12 @@ impl Load {
     /// Returns the cycles of its longest turn.
     #[must_use]
     pub fn longest(&self) -> u64 {
-        self.empty + self.waiting * self.each
+        self.empty + self.work(self.waiting)
+    }
+
+    /// Returns the cycles of bytes that come one after the other.
+    fn work(&self, bytes: u64) -> u64 {
+        bytes * self.each + bytes.div_ceil(self.line.max(1)) * self.line_end
     }
 
     /// Returns the share of the time that it may take in the long run.
@@ -75,15 +87,16 @@ impl Load {
         let period = self.period as f64;
         let bytes = if self.gap == 0 { 0.0 } else { 1.0 / self.gap as f64 };
         let bytes = bytes.min(self.waiting as f64 / period);
-        (self.empty + core.switch) as f64 / period + bytes * self.each as f64
+        let each = self.each as f64 + self.line_end as f64 / self.line.max(1) as f64;
+        (self.empty + core.switch) as f64 / period + bytes * each
     }
 
     /// Cycles that it may take within a window.
     fn demand(&self, window: u64, switch: u64) -> u64 {
-        let starts = window.div_ceil(self.period) + u64::from(self.is_raised);
+        let starts = window.div_ceil(self.period) + self.burst;
         let bytes = window.checked_div(self.gap).map_or(0, |bytes| bytes + 1 + self.waiting);
         let bytes = bytes.min(starts * self.waiting);
-        starts * (self.empty + switch) + bytes * self.each
+        starts * (self.empty + switch) + self.work(bytes)
     }
 }
 
@@ -108,8 +121,8 @@ pub fn longest(tasks: &[Load], number: usize, core: Core, limit: u64) -> Option<
             .filter(|(other, task)| *other != number && task.priority >= own.priority);
         let above: u64 = others.map(|(_, task)| task.demand(response, switch)).sum();
         // Bytes that come meanwhile are taken in the same turn.
-        let came = response.checked_div(own.gap).map_or(0, |bytes| (bytes + 1) * own.each);
-        let turn = own.longest() + switch + came;
+        let came = response.checked_div(own.gap).map_or(0, |bytes| bytes + 1);
+        let turn = own.empty + own.work(own.waiting + came) + switch;
         let again = if response > own.period { turn } else { 0 };
         let sum = turn + own.blocking + above + again;
         let next = sum + sum * dma_per_mille / 1_000;
@@ -131,9 +144,11 @@ mod tests {
         Load {
             priority,
             period,
-            is_raised: false,
+            burst: 0,
             empty: cycles,
             each: 0,
+            line_end: 0,
+            line: 1,
             gap: 0,
             waiting: 0,
             blocking,
@@ -163,6 +178,12 @@ mod tests {
         assert_eq!(line.longest(), 41);
         // A start in 50 cycles, a byte in 100; where no more than the bytes of a start can wait, these.
         assert_eq!(line.share(IDEAL), 1.0 / 50.0 + 10.0 / 100.0);
+        // A line of three ends once in three bytes, and may end with the first of them: seven bytes have three ends.
+        let lines = Load { line_end: 7, line: 3, ..line.clone() };
+        assert_eq!((lines.demand(200, 0), lines.longest()), (4 + 7 * 10 + 3 * 7, 41 + 2 * 7));
+        assert!((lines.share(IDEAL) - (0.02 + (10.0 + 7.0 / 3.0) / 100.0)).abs() < 1e-12);
+        // A start that may come at once with another one.
+        assert_eq!(Load { burst: 1, ..lines }.demand(200, 0), 5 + 7 * 10 + 3 * 7);
         let seldom = Load { period: 1_000, ..line.clone() };
         assert_eq!(seldom.share(IDEAL), 1.0 / 1_000.0 + 4.0 * 10.0 / 1_000.0);
         // Those below do not count.

@@ -115,8 +115,10 @@ pub struct Excluded {
 pub struct Once {
     /// Part of the function's name.
     pub function: &'static str,
-    /// Microseconds between two calls, at the least, whoever calls.
+    /// Microseconds between two calls in the long run, at the least, whoever calls.
     pub period_us: f64,
+    /// Calls that may come at once in addition.
+    pub burst: u32,
     /// The reason.
     pub reason: &'static str,
 }

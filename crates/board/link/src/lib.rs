@@ -10,7 +10,7 @@
 //!   slcan  ────▼──────── ASCII lines ───────────┴──── slcan
 //! ```
 //!
-//! `bits` places a signal in a frame, `status` is what the bridge reports of itself ten times a
+//! `byte_queue` holds the serial line's bytes until a task reads them. `bits` places a signal in a frame, `status` is what the bridge reports of itself ten times a
 //! second. The CANopen side of the bridge stands in `trueup-canopen`, what the bridge
 //! stores in `trueup-store`, and the whole of it, as it stands on the bus, in `trueup-node`.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
@@ -23,6 +23,7 @@
 extern crate std;
 
 pub mod bits;
+pub mod byte_queue;
 pub mod e2e;
 pub mod frame;
 pub mod frames;

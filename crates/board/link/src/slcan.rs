@@ -168,32 +168,36 @@ impl<'a> Fields<'a> {
 pub struct LineSplitter {
     line: Line,
     too_long: bool,
+    /// The line was given out: the next byte begins another one.
+    is_whole: bool,
 }
 
 impl LineSplitter {
     /// At the start of a line.
     #[must_use]
     pub const fn new() -> Self {
-        Self { line: Line::new(), too_long: false }
+        Self { line: Line::new(), too_long: false, is_whole: false }
     }
 
-    /// Takes the next byte; the line, which may be empty, with the byte that ends it.
+    /// Takes the next byte; the line, which may be empty, with the byte that ends it. It stays in its place: each copy of a
+    /// line costs the board more than its byte does.
     ///
     /// # Errors
     /// [`SlcanError::TooLong`], once for a line of more than [`MAX_LINE`] characters, at its end.
-    pub fn push(&mut self, byte: u8) -> Option<Result<Line, SlcanError>> {
-        match byte {
-            b'\n' => None,
-            CR => {
-                let line = core::mem::take(&mut self.line);
-                let too_long = core::mem::take(&mut self.too_long);
-                Some(if too_long { Err(SlcanError::TooLong) } else { Ok(line) })
-            }
-            byte => {
-                self.too_long |= self.line.push(byte).is_err();
-                None
-            }
+    pub fn push(&mut self, byte: u8) -> Option<Result<&[u8], SlcanError>> {
+        if byte == b'\n' {
+            return None;
         }
+        if core::mem::take(&mut self.is_whole) {
+            self.line.clear();
+            self.too_long = false;
+        }
+        if byte == CR {
+            self.is_whole = true;
+            return Some(if self.too_long { Err(SlcanError::TooLong) } else { Ok(&self.line) });
+        }
+        self.too_long |= self.line.push(byte).is_err();
+        None
     }
 }
 

@@ -88,7 +88,7 @@ fn frames_in(bytes: &[u8], mut each: impl FnMut(Frame)) {
     let mut lines = LineSplitter::new();
     for byte in bytes {
         if let Some(Ok(line)) = lines.push(*byte)
-            && let Ok(frame) = decode_line(&line)
+            && let Ok(frame) = decode_line(line)
         {
             each(frame);
         }

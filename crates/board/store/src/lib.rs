@@ -3,7 +3,7 @@
 //!
 //! `calibration` is the layout of what the host compiles for the board, `load` the way of a new one
 //! to the board, `slots` where a board keeps it, `reference` what the board stores of itself,
-//! `writes` who has written to it,
+//! `writes` who has written to it, `pace` how often it may,
 //! `retained` what outlasts a reset in RAM and a power cut behind a battery, and `calendar` the time of a
 //! clock there.
 //! Nothing here touches hardware, allocates, reads a clock, or panics on any input.
@@ -20,6 +20,7 @@ pub mod calibration;
 mod crc;
 pub mod load;
 mod log;
+pub mod pace;
 pub mod reference;
 pub mod retained;
 pub mod slots;

@@ -59,9 +59,9 @@ impl Client {
             // `z` is how adapters with automatic polling accept a frame.
             Ok(line) if line.is_empty() || line == b"z" => Event::Accepted,
             Ok(line) if line.first() == Some(&b't') => {
-                decode_line(unstamped(&line)).map_or_else(Event::Malformed, Event::Frame)
+                decode_line(unstamped(line)).map_or_else(Event::Malformed, Event::Frame)
             }
-            Ok(line) => Event::Other(line),
+            Ok(line) => Event::Other(Line::from_slice(line).unwrap_or_default()),
         })
     }
 }

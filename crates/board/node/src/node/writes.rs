@@ -11,7 +11,7 @@ use trueup_store::{
 
 use super::{Interface, Node};
 
-/// Writes that the board has not stored yet: it does so every 10 ms, and each needs a frame or more.
+/// Writes that the board has not stored yet: it stores one in 50 ms (`trueup_store::pace`), and each needs an operator or a tool.
 const WAITING: usize = 4;
 
 /// The writes of a node.

@@ -67,7 +67,7 @@ fn arrives(flood: Flood, over: Interface, ms: u32) -> u32 {
                 }
                 for byte in bytes {
                     if let Some(Ok(line)) = lines.push(byte)
-                        && let Ok(frame) = decode_line(&line)
+                        && let Ok(frame) = decode_line(line)
                     {
                         rig.node.receive(over, &frame).ok();
                     }
