@@ -73,10 +73,23 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
     let is_right = match is_good {
         true => last == Some("B") && board.slot(Slot::B)[..new.len()] == new,
         // One that resets is given up for the old one, which loads it again and again.
-        false => lines.iter().any(|(_, it)| it == "A") && board.slot(Slot::A)[..old.len()] == old,
+        false => {
+            let said: Vec<&str> = lines.iter().map(|(_, it)| it.as_str()).collect();
+            said.contains(&"B") && goes_back(&said) && board.slot(Slot::A)[..old.len()] == old
+        }
     };
     let run = Run { is_good, script, cuts: cuts as u32, silence_ms };
     if is_right { Ok(run) } else { Err(format!("{run}: {lines:?}")) }
+}
+
+/// Returns whether the old image spoke between any two starts of the new one; a power cut alone keeps a trial.
+fn goes_back(said: &[&str]) -> bool {
+    let mut has_reset = false;
+    said.iter().all(|it| {
+        let is_second = has_reset && *it == "B";
+        has_reset = *it == "B" || has_reset && *it != "A" && !it.contains("power");
+        !is_second
+    })
 }
 
 /// Draws runs from a seed on until there were this many cuts, or one fails; prints each as it ends.
