@@ -8,6 +8,7 @@ use std::{
 };
 
 use anyhow::{Result, bail, ensure};
+use trueup_boot::layout::HANDOVER_START;
 use trueup_core::cnc::{Flags, Output, Quality};
 use trueup_emulator::{
     firmware::{self, Board},
@@ -103,7 +104,7 @@ fn the_plain_bytes_begin_with_a_stack_in_ram_and_an_entry_in_flash() {
     // The boot program, and the application behind the header of slot A.
     for (begin, room) in [(0, 0x8000), (0x1_0200, 0x3_0000 - 0x200)] {
         let (stack, entry) = (word(begin), word(begin + 4));
-        assert_eq!(stack, 0x2000_0000 + 128 * 1024, "the stack begins at the end of the RAM");
+        assert_eq!(stack, HANDOVER_START, "the stack begins below what is handed over");
         let code = 0x0800_0000 + begin as u32..0x0800_0000 + begin as u32 + room;
         assert!(code.contains(&entry) && entry % 2 == 1, "Thumb code: {entry:#x}");
     }
