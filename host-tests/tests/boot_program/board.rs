@@ -199,3 +199,13 @@ pub fn first(lines: &[Line], what: &str) -> f64 {
 pub fn has(lines: &[Line], what: &str) -> bool {
     lines.iter().any(|(_, said)| said == what)
 }
+
+/// Returns the longest silence after power-on or a reset, in ms.
+pub fn longest_silence(lines: &[Line]) -> f64 {
+    let (mut since, mut longest) = (Some(0.0), 0.0_f64);
+    for (at, said) in lines {
+        longest = since.map_or(longest, |from| longest.max(at - from));
+        since = said.starts_with("reset").then_some(*at);
+    }
+    longest
+}

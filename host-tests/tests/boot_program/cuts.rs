@@ -12,10 +12,8 @@ use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use trueup_boot::layout::Slot;
 
-use crate::board::{Board, CONFIRMS, LOADS, RESETS, boot, file};
+use crate::board::{ANSWER_MS, Board, CONFIRMS, LOADS, RESETS, boot, file, longest_silence};
 
-/// A board answers within this many ms after a reset: of which an erase of both sectors of a slot takes 1.6 s.
-const ANSWER_MS: f64 = 2_000.0;
 /// Runs at a time.
 const THREADS: u64 = 2;
 
@@ -58,14 +56,8 @@ fn cut_twice(seed: u64) -> Result<Run, String> {
     let mut lines = board.live(9_000, &script, &[]);
     let cuts = lines.iter().filter(|(_, it)| it.contains("power")).count();
     lines.retain(|(_, it)| it != "c" && it != "u");
-    // After each reset somebody speaks, in time.
-    let (mut since, mut silence_ms) = (Some(0.0), 0.0_f64);
-    for (at, said) in &lines {
-        if let Some(from) = since {
-            silence_ms = silence_ms.max(at - from);
-        }
-        since = said.starts_with("reset").then_some(*at);
-    }
+    // After each reset an image speaks, in time.
+    let silence_ms = longest_silence(&lines);
     if silence_ms > ANSWER_MS {
         return Err(format!("silent for {silence_ms} ms after a reset: {lines:?}"));
     }

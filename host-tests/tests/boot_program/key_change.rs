@@ -8,7 +8,8 @@ use trueup_emulator::slots;
 use trueup_signature::PrivateKey;
 
 use crate::board::{
-    ANSWER_MS, Board, CONFIRMS, GOOD, LOADS, Line, body_of, boot, file, first, has, version,
+    ANSWER_MS, Board, CONFIRMS, GOOD, LOADS, body_of, boot, file, first, has, longest_silence,
+    version,
 };
 
 /// The new key: of this test alone, so never for a machine.
@@ -54,16 +55,6 @@ impl New {
         let a = self.file(Slot::A, 1, LOADS, &self.key);
         Board::with(&a, b).expect("it is there").with_boot(&self.boot)
     }
-}
-
-/// Returns the longest silence after power-on or a reset, in ms.
-fn longest_silence(lines: &[Line]) -> f64 {
-    let (mut since, mut longest) = (Some(0.0), 0.0_f64);
-    for (at, said) in lines {
-        longest = since.map_or(longest, |from| longest.max(at - from));
-        since = said.starts_with("reset").then_some(*at);
-    }
-    longest
 }
 
 #[test]

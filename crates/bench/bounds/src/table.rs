@@ -115,7 +115,7 @@ pub struct Excluded {
 pub struct Once {
     /// Part of the function's name.
     pub function: &'static str,
-    /// Microseconds between two calls in the long run, at the least, whoever calls.
+    /// Microseconds between two calls in the long run, at the least, of all callers together.
     pub period_us: f64,
     /// Calls that may come at once in addition.
     pub burst: u32,

@@ -22,7 +22,7 @@ use crate::{
     layout::Slot,
     record::Status,
     start::{Clock, Ending, Reason, Start, choose},
-    testing::{KEY, Powered, RECORDS, SLOT, Supply, flash_by_probe, image},
+    testing::{KEY, Powered, RECORDS, SLOT, Supply, flash_by_probe, image, powered},
     update::{Update, confirm},
 };
 
@@ -86,12 +86,7 @@ impl Board {
         supply: &Supply,
         work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
     ) -> T {
-        let mut slots = Powered::new(&self.slots, supply);
-        let mut journal = Journal::open(Powered::new(&self.records, supply));
-        let result = work(&mut journal, &mut slots);
-        self.slots = slots.flash;
-        self.records = journal.into_flash().flash;
-        result
+        powered(&mut self.records, &mut self.slots, supply, work)
     }
 
     /// Starts once, and holds what starts against what was promised.

@@ -12,6 +12,7 @@ use crate::{
     crc,
     header::{HEADER_SIZE, Header, SIGNATURE_SIZE, Version},
     inspect::Key,
+    journal::Journal,
     layout::Slot,
     record::ENTRY_SIZE,
 };
@@ -145,4 +146,17 @@ pub fn flash_by_probe(slots: &mut StrictFlash<SLOT>, slot: Slot, file: &[u8]) {
     let start = usize::from(slot.number()) * SLOT;
     slots.bytes[start..start + SLOT].fill(0xFF);
     slots.bytes[start..start + file.len()].copy_from_slice(file);
+}
+
+/// Runs work with both flashes at a supply.
+pub fn powered<T>(
+    records: &mut StrictFlash<RECORDS>,
+    slots: &mut StrictFlash<SLOT>,
+    supply: &Supply,
+    work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
+) -> T {
+    let mut both = (Journal::open(Powered::new(records, supply)), Powered::new(slots, supply));
+    let result = work(&mut both.0, &mut both.1);
+    (*records, *slots) = (both.0.into_flash().flash, both.1.flash);
+    result
 }

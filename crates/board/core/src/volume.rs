@@ -277,7 +277,7 @@ impl Volume<'_> {
     }
 }
 
-/// What the errors of a volume are made of at a place, kept from message to message. They are multiplied by their levers
+/// The parts of the errors of a volume at a place, kept from message to message. They are multiplied by their levers
 /// when they are asked for, however many axes have moved since.
 #[derive(Clone, Debug, Default)]
 pub struct CachedVolume {

@@ -48,7 +48,7 @@ pub(super) struct Search<'a> {
 pub(super) struct Chosen {
     /// With what only explains.
     pub model: Model,
-    /// What the file gets.
+    /// The terms that are written, and those that are left out.
     pub written: Written,
     /// Whether it is for prediction alone.
     pub choice: Choice,

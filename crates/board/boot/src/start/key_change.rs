@@ -8,7 +8,7 @@ use super::*;
 use crate::{
     header::{HEADER_SIZE, Version},
     inspect::Defect,
-    testing::{KEY, Powered, RECORDS, SLOT, Supply, TestKey, flash_by_probe, signed_by},
+    testing::{KEY, Powered, RECORDS, SLOT, Supply, TestKey, flash_by_probe, powered, signed_by},
     update::{Update, UpdateError},
 };
 use std::{println, vec::Vec};
@@ -39,11 +39,7 @@ impl Board {
         supply: &Supply,
         work: impl FnOnce(&mut Journal<Powered<RECORDS>>, &mut Powered<SLOT>) -> T,
     ) -> T {
-        let mut slots = Powered::new(&self.slots, supply);
-        let mut journal = Journal::open(Powered::new(&self.records, supply));
-        let result = work(&mut journal, &mut slots);
-        (self.slots, self.records) = (slots.flash, journal.into_flash().flash);
-        result
+        powered(&mut self.records, &mut self.slots, supply, work)
     }
 
     /// Returns what starts with a dead PLL.
@@ -140,7 +136,7 @@ fn a_cut_at_any_word_of_an_update_after_a_key_change_leaves_a_signed_image_that_
     println!("{cuts} cuts");
 }
 
-/// What was verified with the old key is recorded as verified: so the whole chip is erased when the key is changed.
+/// An image that was verified with the old key is recorded as verified: so the whole chip is erased when the key is changed.
 #[test]
 fn an_image_of_the_old_key_that_stays_starts_with_a_dead_pll_unless_the_records_are_erased() {
     let stays = signed_by(OLD_KEY, Slot::B, 2, 0);
