@@ -64,6 +64,21 @@ fn responses_are_below_their_deadlines_where_it_is_shown() {
 }
 
 #[test]
+fn the_functions_of_a_path_take_the_time_of_its_task() {
+    let path = bounds::path("sample", 168, false).unwrap();
+    println!("{path}");
+    let whole = path.split_once("168 MHz: ").and_then(|(_, rest)| rest.split_once(" µs"));
+    let whole: f64 = whole.unwrap().0.parse().unwrap();
+    let rows = path.lines().skip(2).take_while(|line| !line.is_empty());
+    let own: Vec<f64> =
+        rows.map(|row| row.split_whitespace().nth(1).unwrap().parse().unwrap()).collect();
+    // Each is rounded to 0.1 µs.
+    let sum: f64 = own.iter().sum();
+    assert!((sum - whole).abs() <= 0.05 * (own.len() + 1) as f64, "{sum} {whole}");
+    assert!(own.len() > 20 && own[0] < whole / 2.0);
+}
+
+#[test]
 fn words_in_the_log_are_as_long_as_their_bound() {
     let declared = FIRMWARE.copies.iter().find(|it| it.at.function == WORDS);
     let longest = WriteKind::ALL.map(|what| what.word().len()).into_iter().max();

@@ -73,7 +73,17 @@ enum Command {
     Size,
     /// Bounds the time of every task of the flashable image, on each clock, next to the longest that the model of the
     /// chip sees.
-    Bounds,
+    Bounds {
+        /// Print the longest path of this task instead: its functions, by the time of their own.
+        #[arg(long, value_name = "TASK")]
+        path: Option<String>,
+        /// The clock of the path in MHz.
+        #[arg(long, value_name = "MHZ", default_value_t = 168)]
+        clock: u32,
+        /// The path with the largest calibration.
+        #[arg(long)]
+        largest: bool,
+    },
     /// Builds the firmware images that an installed `trueup` carries, in target/carried.
     Images,
     /// Builds the image that is flashed, boot program and slot A, and the file that updates a board, in target/images.
@@ -259,7 +269,11 @@ fn main() -> ExitCode {
         Command::Chip(ChipOptions { options }) => run_chip(options),
         Command::LinuxCnc(options) => run_linuxcnc(options),
         Command::Size => size::report().map(|report| trueup_output::line(report.trim_end())),
-        Command::Bounds => bounds::print().map(|report| trueup_output::line(report.trim_end())),
+        Command::Bounds { path, clock, largest } => match path {
+            Some(task) => bounds::path(&task, clock, largest),
+            None => bounds::print(),
+        }
+        .map(|report| trueup_output::line(report.trim_end())),
         Command::Images => images::carried().map(|folder| trueup_output::line(folder.display())),
         Command::Firmware => images::build_flashable().map(|built| {
             trueup_output::line(built.image.display());

@@ -124,6 +124,7 @@ const LOOPS: &[LoopBound] = &[
     bound("fall_back_is_dead", "", Times(3), "the sources, `ElongationSource::ALL`"),
     bound("term::sum::axis_errors", "", Terms, TERMS),
     bound("term::sum::walk", "", Terms, TERMS),
+    bound("TermStates::with_categories", "", Terms, TERMS),
     bound("TermStates::select", "", Terms, TERMS),
     bound("TermStates::sum_up", "", Terms, TERMS),
     bound(

@@ -22,6 +22,7 @@ pub mod flow;
 pub mod image;
 pub mod longest;
 pub mod loops;
+pub mod path;
 pub mod pieces;
 pub mod program;
 pub mod report;

@@ -12,6 +12,78 @@ use crate::{
     loops::{self, Loop},
 };
 
+/// A path so far: its cycles, and what else is kept of it.
+pub trait Way: Clone + Default {
+    /// Returns its cycles.
+    fn cycles(&self) -> u64;
+    /// Adds cycles that belong to no block: edges, and lines that the cache takes.
+    fn spend(&mut self, cycles: u64);
+    /// Adds a block of that price.
+    fn visit(&mut self, block: usize, is_kept: bool, cycles: u64);
+    /// Adds another path behind it, that many times.
+    fn extend(&mut self, other: &Self, times: u64);
+}
+
+/// The cycles alone.
+impl Way for u64 {
+    fn cycles(&self) -> u64 {
+        *self
+    }
+
+    fn spend(&mut self, cycles: u64) {
+        *self += cycles;
+    }
+
+    fn visit(&mut self, _: usize, _: bool, cycles: u64) {
+        *self += cycles;
+    }
+
+    fn extend(&mut self, other: &Self, times: u64) {
+        *self += other * times;
+    }
+}
+
+/// The cycles, and how often each block is on the path, with the cache and without.
+#[derive(Clone, Debug, Default)]
+pub struct Traced {
+    cycles: u64,
+    /// By the block and whether the cache has it.
+    pub visits: BTreeMap<(usize, bool), u64>,
+}
+
+impl Way for Traced {
+    fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    fn spend(&mut self, cycles: u64) {
+        self.cycles += cycles;
+    }
+
+    fn visit(&mut self, block: usize, is_kept: bool, cycles: u64) {
+        self.cycles += cycles;
+        *self.visits.entry((block, is_kept)).or_default() += 1;
+    }
+
+    fn extend(&mut self, other: &Self, times: u64) {
+        self.cycles += other.cycles * times;
+        if times > 0 {
+            for (block, count) in &other.visits {
+                *self.visits.entry(*block).or_default() += count * times;
+            }
+        }
+    }
+}
+
+/// How often a loop goes round before its last round.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Repeated {
+    /// Rounds.
+    pub times: u64,
+    /// Cycles in addition to those of the rounds.
+    pub wait: u64,
+}
+
 /// Prices of a graph. `is_kept`: the cache of the flash has all instructions.
 pub trait Prices {
     /// Returns the cycles of a block, with what it calls.
@@ -20,95 +92,130 @@ pub trait Prices {
     fn edge(&self, from: usize, edge: &Edge, is_kept: bool) -> u64;
     /// Returns the cycles in which the cache takes all instructions of a loop, with what it calls; `None`: they are too many.
     fn fill(&self, one: &Loop) -> Option<u64>;
-    /// Returns the cycles of a loop until it comes to its last round, by the cycles of its longest round.
-    fn rounds(&self, one: &Loop, round: u64) -> u64;
+    /// Returns how often a loop goes round until it comes to its last round.
+    fn rounds(&self, one: &Loop) -> Repeated;
     /// Returns the headers of the loops within a loop whose rounds are among its own.
     fn joined(&self, one: &Loop) -> BTreeSet<usize>;
 }
 
 /// Returns the longest way from `entry` to the end of each block of `within` that it leads to.
-pub fn ways(
+pub fn ways<W: Way>(
     graph: &Graph,
     prices: &impl Prices,
     within: &BTreeSet<usize>,
     entry: usize,
-) -> BTreeMap<usize, u64> {
+) -> BTreeMap<usize, W> {
     walk(graph, prices, within, entry, false, false)
 }
 
+/// Returns the longest of some ways.
+pub fn longest_of<W: Way>(ways: impl Iterator<Item = W>) -> Option<W> {
+    ways.max_by_key(Way::cycles)
+}
+
 /// As [`ways`]; `is_round`: the ways back to `entry` are another round.
-fn walk(
+fn walk<W: Way>(
     graph: &Graph,
     prices: &impl Prices,
     within: &BTreeSet<usize>,
     entry: usize,
     is_round: bool,
     is_kept: bool,
-) -> BTreeMap<usize, u64> {
+) -> BTreeMap<usize, W> {
     let is_cut = is_round || !graph.before[entry].iter().any(|from| within.contains(from));
     let parts = if is_cut {
         loops::components(graph, within, entry)
     } else {
         loops::whole(graph, within, entry)
     };
-    let mut known: BTreeMap<usize, u64> = BTreeMap::new();
+    let mut known: BTreeMap<usize, W> = BTreeMap::new();
     for part in parts {
         let arrives = |block: usize| {
             let before = graph.before[block].iter();
             let ways = before.filter_map(|from| {
                 let so_far = known.get(from)?;
                 let edges = graph.blocks[*from].next.iter().filter(|edge| edge.to == block);
-                Some(so_far + edges.map(|edge| prices.edge(*from, edge, is_kept)).max()?)
+                let edge = edges.map(|edge| prices.edge(*from, edge, is_kept)).max()?;
+                Some((so_far, edge))
             });
-            ways.max().unwrap_or(0)
+            let longest = ways.max_by_key(|(so_far, edge)| so_far.cycles() + edge);
+            longest.map_or_else(W::default, |(so_far, edge)| {
+                let mut way = so_far.clone();
+                way.spend(edge);
+                way
+            })
         };
         let cut = if is_cut { entry } else { usize::MAX };
         if !loops::is_loop(graph, &part, cut) {
             let block = part[0];
-            let before = if block == entry && is_cut { 0 } else { arrives(block) };
-            known.insert(block, before + prices.block(block, is_kept));
+            let mut way = if block == entry && is_cut { W::default() } else { arrives(block) };
+            way.visit(block, is_kept, prices.block(block, is_kept));
+            known.insert(block, way);
             continue;
         }
         let one = loops::as_loop(graph, &part, within);
         if !one.is_reducible {
-            let before = part.iter().map(|block| arrives(*block)).max().unwrap_or(0);
-            let all = part.iter().map(|block| {
+            let before = longest_of(part.iter().map(|block| arrives(*block)));
+            let mut all = W::default();
+            for block in &part {
                 let edges = graph.blocks[*block].next.iter();
-                prices.block(*block, is_kept)
-                    + edges.map(|edge| prices.edge(*block, edge, is_kept)).max().unwrap_or(0)
-            });
-            let all: u64 = all.sum();
-            let way = before + prices.rounds(&one, all) + all;
-            known.extend(part.iter().map(|block| (*block, way)));
+                all.visit(*block, is_kept, prices.block(*block, is_kept));
+                all.spend(edges.map(|edge| prices.edge(*block, edge, is_kept)).max().unwrap_or(0));
+            }
+            let Repeated { times, wait } = prices.rounds(&one);
+            let mut way = before.unwrap_or_default();
+            way.extend(&all, times + 1);
+            way.spend(wait);
+            known.extend(part.iter().map(|block| (*block, way.clone())));
             continue;
         }
         let before = arrives(one.header);
-        let mut ways = around(graph, prices, &one, is_kept);
+        let mut ways: BTreeMap<usize, W> = around(graph, prices, &one, is_kept);
         // Either bounds the loop: with a cache that it fits, or without.
         if let Some(fill) = prices.fill(&one).filter(|_| !is_kept) {
-            let longest = |ways: &BTreeMap<usize, u64>| ways.values().copied().max();
-            let kept = around(graph, prices, &one, true);
-            let kept: BTreeMap<usize, u64> =
-                kept.into_iter().map(|(block, way)| (block, way + fill)).collect();
+            let longest = |ways: &BTreeMap<usize, W>| ways.values().map(Way::cycles).max();
+            let mut kept: BTreeMap<usize, W> = around(graph, prices, &one, true);
+            kept.values_mut().for_each(|way| way.spend(fill));
             if longest(&kept) < longest(&ways) {
                 ways = kept;
             }
         }
-        known.extend(ways.into_iter().map(|(block, way)| (block, before + way)));
+        known.extend(ways.into_iter().map(|(block, way)| {
+            let mut whole = before.clone();
+            whole.extend(&way, 1);
+            (block, whole)
+        }));
     }
     known
 }
 
 /// The longest ways from where a loop is entered to the end of each of its blocks, all rounds included.
-fn around(graph: &Graph, prices: &impl Prices, one: &Loop, is_kept: bool) -> BTreeMap<usize, u64> {
-    let inner = walk(graph, prices, &one.blocks, one.header, true, is_kept);
+fn around<W: Way>(
+    graph: &Graph,
+    prices: &impl Prices,
+    one: &Loop,
+    is_kept: bool,
+) -> BTreeMap<usize, W> {
+    let inner: BTreeMap<usize, W> = walk(graph, prices, &one.blocks, one.header, true, is_kept);
     // A round that begins at a header within is a part of one that begins at this one.
     let mut headers = prices.joined(one);
     headers.insert(one.header);
     let backs = inner.iter().filter_map(|(block, way)| {
         let edges = graph.blocks[*block].next.iter().filter(|edge| headers.contains(&edge.to));
-        Some(way + edges.map(|edge| prices.edge(*block, edge, is_kept)).max()?)
+        let edge = edges.map(|edge| prices.edge(*block, edge, is_kept)).max()?;
+        let mut back = way.clone();
+        back.spend(edge);
+        Some(back)
     });
-    let rounds = prices.rounds(one, backs.max().unwrap_or(0));
-    inner.into_iter().map(|(block, way)| (block, rounds + way)).collect()
+    let round = longest_of(backs).unwrap_or_default();
+    let Repeated { times, wait } = prices.rounds(one);
+    let mut rounds = W::default();
+    rounds.extend(&round, times);
+    rounds.spend(wait);
+    let whole = |way: W| {
+        let mut whole = rounds.clone();
+        whole.extend(&way, 1);
+        whole
+    };
+    inner.into_iter().map(|(block, way)| (block, whole(way))).collect()
 }

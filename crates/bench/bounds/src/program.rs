@@ -28,6 +28,16 @@ pub struct Entry {
     pub start: u32,
     /// Its arguments; none where its time depends on none.
     pub arguments: Arguments,
+    /// Those of its arguments that point into the RAM in this call, a bit each; none where its time depends on no argument.
+    pub ram: u16,
+}
+
+impl Entry {
+    /// Returns a function whose arguments are not known.
+    #[must_use]
+    pub const fn of(start: u32) -> Self {
+        Self { start, arguments: [None; 4], ram: 0 }
+    }
 }
 
 /// Where a bound comes from.
@@ -135,9 +145,7 @@ impl<'a> Program<'a> {
                     for one in &prepared.graph.blocks[number].instructions {
                         state.step(self.image, one);
                     }
-                    let is_ram = (0..4).fold(0, |bits, register| {
-                        bits | u16::from(state.is_ram(register)) << register
-                    });
+                    let is_ram = ram_of(&state);
                     for call in calls {
                         let mut ram = self.ram.borrow_mut();
                         let known = ram.entry(call.start).or_insert(0);
@@ -290,7 +298,7 @@ impl<'a> Program<'a> {
             }
         }
         let graph = flow::keep(graph.name, blocks, &is_kept);
-        let ram = self.ram.borrow().get(&entry.start).copied().unwrap_or_default();
+        let ram = self.ram.borrow().get(&entry.start).copied().unwrap_or_default() | entry.ram;
         let mut graph = self.without_excluded(graph)?;
         let mut starts = values::at_starts(self.image, &graph, entry.arguments, ram);
         // A branch by two numbers has one way.
@@ -411,7 +419,10 @@ impl<'a> Program<'a> {
         let back = targets.into_iter().filter(|to| self.returns(*to));
         back.flat_map(|start| {
             let arguments = self.arguments(graph, &state, start, at);
-            self.aligned(start, arguments).map(move |arguments| Entry { start, arguments })
+            // One that is copied in many places reads the flash in some of them, and the RAM in others.
+            let is_by_length = table::length_argument(self.name(start)).is_some();
+            let ram = if is_by_length { ram_of(&state) } else { 0 };
+            self.aligned(start, arguments).map(move |arguments| Entry { start, arguments, ram })
         })
         .collect()
     }
@@ -460,4 +471,9 @@ impl<'a> Program<'a> {
         }
         arguments
     }
+}
+
+/// Which of the first four registers point into the RAM, a bit each.
+fn ram_of(state: &State) -> u16 {
+    (0..4).fold(0, |bits, register| bits | u16::from(state.is_ram(register)) << register)
 }

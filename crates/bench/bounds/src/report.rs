@@ -1,6 +1,9 @@
 //! The bounds of all tasks on all clocks, and as a table.
 
-use std::{collections::BTreeMap, fmt::Write as _};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt::Write as _,
+};
 
 use anyhow::{Context as _, Result};
 
@@ -10,7 +13,7 @@ use crate::{
     image::Image,
     program::{Entry, Program},
     response::{self, Core, Load},
-    sections::Sections,
+    sections::{Section, Sections},
     source::Source,
     table::{Sizes, Table},
     tasks::{self, Task},
@@ -70,7 +73,7 @@ pub fn of(
     let program = Program::new(image, table, source, sizes);
     let all_tasks = tasks::read(app)?;
     let functions = all_tasks.iter().filter_map(|task| image.function(&task.interrupt));
-    let entries = functions.map(|it| Entry { start: it.start, arguments: [None; 4] });
+    let entries = functions.map(|it| Entry::of(it.start));
     program.find_ram(&entries.collect::<Vec<_>>());
     let mut all = Vec::new();
     for clock in CLOCKS {
@@ -125,20 +128,20 @@ fn loads(
 ) -> Result<(Vec<Load>, Vec<u64>)> {
     let within_line = program.within_line();
     let cycles = |us: f64| (us * f64::from(clock.mhz)) as u64;
-    let (mut sections, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut entries, mut loads, mut turns) = (Vec::new(), Vec::new(), Vec::new());
     let mut seldom: BTreeMap<u32, Load> = BTreeMap::new();
+    let mut sections: BTreeMap<(Entry, BTreeSet<u32>), Vec<Section>> = BTreeMap::new();
     let rates = program.once();
     for task in tasks {
         let function = image.function(&task.interrupt);
         let function = function.with_context(|| {
             format!("{}: the image has no function {}", task.name, task.interrupt)
         })?;
-        let entry = Entry { start: function.start, arguments: [None; 4] };
+        let entry = Entry::of(function.start);
         let waiting = task.bytes.map(|bytes| bytes.waiting);
         let (empty, _) = Worst::turn(program, clock, waiting.map(|_| 0), entry);
         let (whole, once) = Worst::turn(program, clock, waiting, entry);
-        let full = Worst::new(program, clock, waiting);
-        sections.push(Sections::new(program, &full).below(entry));
+        entries.push((entry, waiting));
         let mut load = Load {
             priority: task.priority,
             period: cycles(task.period_us(clock.mhz)).max(1),
@@ -171,11 +174,34 @@ fn loads(
         }
         loads.push(load);
     }
+    let mut below = |tasks: &[(Entry, Option<u32>)], free: &BTreeSet<u32>| -> Vec<Section> {
+        let all = tasks.iter().flat_map(|(entry, waiting)| {
+            let known = sections.entry((*entry, free.clone())).or_insert_with(|| {
+                let worst = Worst::new(program, clock, *waiting).without(free.clone());
+                Sections::new(program, &worst).below(*entry)
+            });
+            known.clone()
+        });
+        all.collect()
+    };
+    let whole = below(&entries, &BTreeSet::new());
+    // A call that holds a task off may have begun before it, by twice the longest section where tasks above interrupt it: the
+    // next one may follow by so much sooner.
+    let begun = 2 * whole.iter().map(|section| section.cycles).max().unwrap_or(0);
+    let mut sooner: BTreeSet<u32> = BTreeSet::new();
+    for (start, load) in seldom.iter_mut().filter(|(_, load)| load.period >= 2 * begun) {
+        load.period -= begun;
+        sooner.insert(*start);
+    }
     for (number, task) in tasks.iter().enumerate() {
-        let below = tasks.iter().zip(&sections).filter(|(it, _)| it.priority < task.priority);
-        let reaching = below
-            .flat_map(|(_, sections)| sections)
-            .filter(|section| section.ceiling.is_none_or(|ceiling| ceiling >= task.priority));
+        // What is a load of its own at this priority or above delays the task as such, wherever it is called.
+        let is_counted = |start: &u32| seldom[start].priority >= task.priority;
+        let counted: BTreeSet<u32> = sooner.iter().copied().filter(is_counted).collect();
+        let lower = tasks.iter().zip(&entries).filter(|(it, _)| it.priority < task.priority);
+        let lower: Vec<_> = lower.map(|(_, entry)| *entry).collect();
+        let reaching = below(&lower, &counted).into_iter();
+        let reaching =
+            reaching.filter(|section| section.ceiling.is_none_or(|it| it >= task.priority));
         loads[number].blocking = reaching.map(|section| section.cycles).max().unwrap_or(0);
     }
     loads.extend(seldom.into_values());

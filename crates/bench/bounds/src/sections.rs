@@ -146,7 +146,7 @@ impl<'a> Sections<'a> {
         let mut cycles = 0;
         for entry in first {
             if found.blocks.contains(&entry) {
-                let ways = longest::ways(&prepared.graph, priced, &found.blocks, entry);
+                let ways = longest::ways::<u64>(&prepared.graph, priced, &found.blocks, entry);
                 cycles = cycles.max(ways.values().copied().max().unwrap_or(0));
             }
         }

@@ -10,7 +10,7 @@ use crate::{
     clock::{Clock, KEPT_LINES, LINE},
     decode::Address,
     flow::{Edge, Graph},
-    longest::{self, Prices},
+    longest::{self, Prices, Repeated, Traced, Way},
     loops::Loop,
     program::{Bounded, Entry, Prepared, Program},
     table::Rounds,
@@ -100,13 +100,30 @@ impl<'a> Worst<'a> {
         self.above.borrow_mut().push(entry);
         let priced = self.priced(&prepared);
         let within: BTreeSet<usize> = (0..prepared.graph.blocks.len()).collect();
-        let ways = longest::ways(&prepared.graph, &priced.kept(is_kept), &within, 0);
-        let blocks = &prepared.graph.blocks;
-        let longest = ways.iter().filter(|(block, _)| blocks[**block].returns).map(|(_, way)| *way);
-        let longest = longest.max().unwrap_or(0);
+        let longest: u64 = to_return(&prepared, &priced.kept(is_kept), &within);
         self.above.borrow_mut().pop();
         self.known.borrow_mut().insert((entry, is_kept), longest);
         longest
+    }
+
+    /// Returns the longest path of a function: its cycles, its own among them, and how often it calls which functions.
+    #[must_use]
+    pub fn path(&self, entry: Entry, is_kept: bool) -> Option<Path> {
+        let cycles = self.cycles(entry, is_kept);
+        let prepared = self.program.prepare(entry).filter(|_| !self.free.contains(&entry.start))?;
+        let priced = self.priced(&prepared).kept(is_kept);
+        let within: BTreeSet<usize> = (0..prepared.graph.blocks.len()).collect();
+        let way: Traced = to_return(&prepared, &priced, &within);
+        let (mut calls, mut own) = (BTreeMap::new(), cycles);
+        for ((block, in_cache), count) in way.visits {
+            let is_kept = is_kept || in_cache;
+            let called = prepared.calls[block].iter().map(|to| (self.cycles(*to, is_kept), *to));
+            if let Some((cost, to)) = called.max_by_key(|(cost, _)| *cost) {
+                own = own.saturating_sub(cost * count);
+                *calls.entry((to, is_kept)).or_default() += count;
+            }
+        }
+        Some(Path { cycles, own, calls })
     }
 
     /// The lines of the flash of some blocks, and of what they call.
@@ -229,6 +246,25 @@ impl<'a> Worst<'a> {
     }
 }
 
+/// The longest path through a function.
+#[derive(Clone, Debug)]
+pub struct Path {
+    /// Its cycles, with all that it calls.
+    pub cycles: u64,
+    /// Those of its own instructions.
+    pub own: u64,
+    /// How often it calls what, with the cache and without.
+    pub calls: BTreeMap<(Entry, bool), u64>,
+}
+
+/// The longest way to a return.
+fn to_return<W: Way>(prepared: &Prepared, prices: &Priced, within: &BTreeSet<usize>) -> W {
+    let ways = longest::ways::<W>(&prepared.graph, prices, within, 0);
+    let blocks = &prepared.graph.blocks;
+    let back = ways.into_iter().filter(|(block, _)| blocks[*block].returns);
+    longest::longest_of(back.map(|(_, way)| way)).unwrap_or_default()
+}
+
 /// The prices of one function.
 pub struct Priced {
     prepared: Rc<Prepared>,
@@ -294,19 +330,25 @@ impl Prices for Priced {
         self.joined.get(&one.header).cloned().unwrap_or_default()
     }
 
-    fn rounds(&self, one: &Loop, round: u64) -> u64 {
-        let cycles = |rounds: Rounds| match rounds {
-            Rounds::Times(rounds) => u64::from(rounds) * round,
-            Rounds::Micros(us) => u64::from(us) * u64::from(self.clock.mhz) + round,
-            _ => 0,
+    fn rounds(&self, one: &Loop) -> Repeated {
+        let repeated = |rounds: Rounds| match rounds {
+            Rounds::Times(times) => Repeated { times: times.into(), wait: 0 },
+            Rounds::Micros(us) => {
+                Repeated { times: 1, wait: u64::from(us) * u64::from(self.clock.mhz) }
+            }
+            _ => Repeated::default(),
         };
-        let own = self.rounds.get(&one.header).map(|rounds| cycles(*rounds));
+        let own = self.rounds.get(&one.header).map(|rounds| repeated(*rounds));
         // One of which only a part is looked at may be entered elsewhere: it turns no more often than the whole.
         own.unwrap_or_else(|| {
             let around = self.prepared.loops.iter();
             let around = around.filter(|it| it.one.blocks.is_superset(&one.blocks));
-            let rounds = around.filter_map(|it| self.rounds.get(&it.one.header));
-            rounds.map(|rounds| cycles(*rounds)).max().unwrap_or(0)
+            let all = around.filter_map(|it| self.rounds.get(&it.one.header));
+            let all: Vec<Repeated> = all.map(|rounds| repeated(*rounds)).collect();
+            Repeated {
+                times: all.iter().map(|it| it.times).max().unwrap_or(0),
+                wait: all.iter().map(|it| it.wait).max().unwrap_or(0),
+            }
         })
     }
 }

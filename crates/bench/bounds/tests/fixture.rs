@@ -62,7 +62,7 @@ fn worst_of(
         (0..).zip(code).map(|(n, code)| (names[n], FLASH + 0x100 * n as u32, *code)).collect();
     let (image, source) = (Image::of_code(&functions), Source::new(".".into()));
     let program = Program::new(&image, table, &source, Sizes::NONE);
-    let entry = Entry { start: FLASH, arguments };
+    let entry = Entry { arguments, ..Entry::of(FLASH) };
     let cycles = Worst::new(&program, clock, None).of(entry);
     (cycles, program.problems())
 }
@@ -151,7 +151,7 @@ fn a_section_lasts_from_the_raised_mask_to_the_restored_one() {
         let table = Table::default();
         let program = Program::new(&image, &table, &source, Sizes::NONE);
         let worst = Worst::new(&program, SLOW, None);
-        let entry = Entry { start: FLASH, arguments: [None; 4] };
+        let entry = Entry::of(FLASH);
         let sections = Sections::new(&program, &worst).below(entry);
         assert!(program.problems().is_empty(), "{:?}", program.problems());
         sections.iter().map(|it| (it.ceiling, it.cycles)).collect::<Vec<_>>()

@@ -2,10 +2,12 @@
 
 use std::{collections::BTreeMap, fs, path::Path};
 
-use anyhow::{Result, bail};
+use anyhow::{Context as _, Result, bail};
 use trueup_bounds::{
+    clock,
     firmware::FIRMWARE,
     image::Image,
+    path,
     report::{self, Bounds},
     source::Source,
     table::Sizes,
@@ -27,6 +29,21 @@ fn for_sizes(image: &Path, sizes: Sizes) -> Result<Bounds> {
     let root = setup::root();
     let app = fs::read_to_string(root.join("src/main.rs"))?;
     report::of(&Image::read(image)?, &app, &FIRMWARE, &Source::new(root), sizes)
+}
+
+/// Builds the image with the paper's machine and returns the longest path of a task as a table; `is_largest`: with the largest
+/// calibration.
+///
+/// # Errors
+/// There is no such task or clock, or the image does not build.
+pub fn path(task: &str, mhz: u32, is_largest: bool) -> Result<String> {
+    let clock = clock::CLOCKS.into_iter().find(|clock| clock.mhz == mhz);
+    let clock = clock.with_context(|| format!("{mhz} MHz is no clock of the board"))?;
+    let root = setup::root();
+    let app = fs::read_to_string(root.join("src/main.rs"))?;
+    let image = Image::read(&firmware::build_for(&root.join("data/paper_spindle.toml"))?)?;
+    let sizes = if is_largest { Sizes::LARGEST } else { Sizes::NONE };
+    path::of_task(&image, &app, &FIRMWARE, &Source::new(root), sizes, clock, task)
 }
 
 /// Builds the image with the paper's machine, bounds its tasks on every clock, and returns them as a table, next to the
