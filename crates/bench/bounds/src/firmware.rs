@@ -313,6 +313,12 @@ const LINES: &[Excluded] = &[
 
 const ONCES: &[Once] = &[
     Once {
+        function: "errors::CachedErrors::at",
+        period_us: 1e9,
+        burst: 0,
+        reason: "all errors are computed whole once after a start, when they are first asked for (`bridge::errors`)",
+    },
+    Once {
         function: "Node::receive_control",
         period_us: 10_000.0,
         burst: 0,

@@ -74,7 +74,7 @@ pub use self::state::{
 use crate::{
     calibration::{Calibration, ElongationSource},
     channels::RawTemperatures,
-    cnc::{Command, Flags, LinearAxis, Output, Quality, Rotary},
+    cnc::{Command, Control, Flags, LinearAxis, Output, Quality, Rotary},
     dimensions::{CHANNELS, CODES_PER_TICK, STEP_MS},
     geometry::ErrorSums,
     heat,
@@ -132,18 +132,29 @@ impl<'a> Bridge<'a> {
     /// depend on this position, the tool direction. A CNC that stands still sends the same again,
     /// and that costs nothing.
     pub fn receive(&self, state: &mut State, command: Command) {
-        let timeout_ms = self.calibration.limits.link_timeout_ms;
         match command {
-            Command::Control(control) => {
-                // An edge needs a known `Control` before it: a CNC that starts with the bit
-                // already set has asked for nothing.
-                let was = state.control.value(timeout_ms);
-                if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
-                    state.zeroed |= self.zero(state);
-                }
-                state.control.receive(control);
-                state.cnc_known = true;
-            }
+            Command::Control(control) => self.receive_control(state, control),
+            value => self.receive_value(state, value),
+        }
+    }
+
+    /// Takes a `Control`.
+    pub fn receive_control(&self, state: &mut State, control: Control) {
+        // An edge needs a known `Control` before it: a CNC that starts with the bit
+        // already set has asked for nothing.
+        let was = state.control.value(self.calibration.limits.link_timeout_ms);
+        if control.zero && control.referenced && was.is_some_and(|was| !was.zero) {
+            state.zeroed |= self.zero(state);
+        }
+        state.control.receive(control);
+        state.cnc_known = true;
+    }
+
+    /// Takes any other command than `Control`, which it ignores.
+    // Apart from it, because a `Zero` takes long and no value does: a test bounds the time of each (host-tests, `bounds`).
+    pub fn receive_value(&self, state: &mut State, value: Command) {
+        match value {
+            Command::Control(_) => {}
             Command::Spindle(spindle) => {
                 state.spindle.receive(spindle);
                 if self.needs.category_speed && state.heat.turn(&self.calibration, spindle.speed) {

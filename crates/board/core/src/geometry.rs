@@ -146,6 +146,8 @@ impl Calibration<'_> {
 
 impl CachedErrors {
     /// Returns the errors at a place, added up.
+    // A function of its own in the image: a board calls it once after a start, and its time is bounded by that.
+    #[inline(never)]
     #[must_use]
     pub fn at(calibration: &Calibration<'_>, heat: &Heat, place: &Place) -> Self {
         let mut cached = Self::default();

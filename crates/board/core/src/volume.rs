@@ -246,7 +246,7 @@ impl Volume<'_> {
             let Some(rotary) = rotary.as_ref().filter(|it| !it.moves_workpiece) else { continue };
             let turn = sine_cosine(angle);
             let lever = turned(rotary.axis, turn, minus(tip, vector(rotary.point)));
-            if error != [0; 3] {
+            if !is_zero(error) {
                 error = turned(rotary.axis, turn, error);
             }
             error = plus(error, rotary.error(lever));
@@ -372,6 +372,11 @@ fn vector(positions: [Position; 3]) -> Vector {
 fn plus(a: Vector, b: Vector) -> Vector {
     let ([ax, ay, az], [bx, by, bz]) = (a, b);
     [ax.saturating_add(bx), ay.saturating_add(by), az.saturating_add(bz)]
+}
+
+/// Returns whether all components are 0. As arrays they are compared by a call.
+const fn is_zero([x, y, z]: Vector) -> bool {
+    x | y | z == 0
 }
 
 fn minus(a: Vector, b: Vector) -> Vector {

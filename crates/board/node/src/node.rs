@@ -295,7 +295,7 @@ impl<'a> Node<'a> {
         let command = heard?;
         match (command, &self.bridge) {
             (Some(Command::Control(control)), _) => self.receive_control(line, control),
-            (Some(command), Some(bridge)) => bridge.receive(&mut self.state, command),
+            (Some(value), Some(bridge)) => bridge.receive_value(&mut self.state, value),
             _ => {}
         }
         Ok(command)
@@ -310,7 +310,7 @@ impl<'a> Node<'a> {
         self.receive_learned(heard.control.learned);
         let Some(bridge) = &self.bridge else { return };
         let before = self.state.reference();
-        bridge.receive(&mut self.state, Command::Control(heard.control));
+        bridge.receive_control(&mut self.state, heard.control);
         let now = self.state.reference();
         let zeroed = self.state.take_zeroed();
         if now != before || zeroed && self.offer.is_open() {

@@ -84,7 +84,7 @@ impl Node<'_> {
             return;
         }
         if let Some(bridge) = &self.bridge {
-            bridge.receive(&mut self.state, value);
+            bridge.receive_value(&mut self.state, value);
         }
     }
 
