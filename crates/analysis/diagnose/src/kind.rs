@@ -76,6 +76,14 @@ impl Kind {
         }
     }
 
+    /// Returns its name with the column that it hangs on.
+    pub(crate) fn title(&self) -> String {
+        match self.column() {
+            Some(column) => format!("{} of {column}", self.name()),
+            None => self.name().into(),
+        }
+    }
+
     /// Returns whether a board may correct it: not what only happened once, nor what is not the machine's.
     pub(crate) fn is_compensated(&self) -> bool {
         self.cause().is_none_or(|effect| effect.is_compensated())

@@ -21,6 +21,11 @@ use crate::{
     kind::{Kind, Part},
 };
 
+/// A machine whose readings at one position scatter by more (standard deviation, in µm) is no machine
+/// to be corrected but one to be mended: its repeatability by ISO 230-2, 4·s, is beyond 20 µm, about
+/// the most that ISO 10791-4 lets a machining centre of 2 m have. Less than that may be the noise of
+/// the instrument.
+pub(crate) const REPEATABLE_UM: f64 = 5.0;
 /// More places than a table of the machine file should have points are no targets.
 const MAX_PLACES: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.

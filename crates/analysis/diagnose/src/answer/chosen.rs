@@ -142,13 +142,15 @@ impl Chosen {
         })
     }
 
-    /// Returns a finding for each term that was judged, and for those that were chosen for prediction.
+    /// Returns a finding for each term that was judged, and for those that were chosen for prediction. No name is claimed
+    /// where most of the error is left and may be the machine.
     pub(super) fn findings(
         &self,
         search: &Search<'_>,
         open: &Open,
         after: &[f64],
         within: f64,
+        is_most_unknown: bool,
     ) -> Vec<Finding> {
         let Search { data, problem, found, judged, .. } = *search;
         let Self { written, choice, transfer, .. } = self;
@@ -172,6 +174,19 @@ impl Chosen {
             finding
         };
         let mut findings: Vec<Finding> = judged.iter().map(of_judgement).collect();
+        // What takes no part of its own hangs on all that is open, also where writing made it so.
+        let is_open = |(it, finding): &(&Judgement, &Finding)| {
+            !finding.claimed && !it.cause().is_of_instrument()
+        };
+        let open_one = judged.iter().zip(&findings).find(is_open).map(|(it, _)| it.cause().clone());
+        for (it, finding) in judged.iter().zip(&mut findings) {
+            if let Some(open_one) = open_one.as_ref().filter(|_| !it.cause().has_own_input()) {
+                finding.hangs_on(open_one);
+            }
+            if is_most_unknown {
+                finding.is_beside_an_unknown_rest();
+            }
+        }
         open.mark(&mut findings);
         findings = merged(judged, findings);
         if let Some(foreseen) = choice.foreseen.as_ref().filter(|_| choice.is_predicted) {

@@ -148,6 +148,25 @@ impl Finding {
         self.claimed = false;
         self.evidence.push("It was found beside what the hold-out does not bear out.".into());
     }
+
+    /// It has no input of its own, and `open` is not settled.
+    pub(super) fn hangs_on(&mut self, open: &Kind) {
+        if self.claimed {
+            self.claimed = false;
+            self.evidence.push(hangs_on(open));
+        }
+    }
+
+    /// More is left than it explains, and that may be the machine.
+    pub(super) fn is_beside_an_unknown_rest(&mut self) {
+        if self.claimed {
+            self.claimed = false;
+            self.evidence.push(
+                "More than half of the error is left, and may be the machine: this may stand for a part of another law."
+                    .into(),
+            );
+        }
+    }
 }
 
 impl Finding {
@@ -245,14 +264,6 @@ fn five_digits(number: f64) -> String {
     format!("{number:.4e}").parse::<f64>().unwrap_or(number).to_string()
 }
 
-/// Returns a cause with the column that it hangs on.
-fn named(cause: &Kind) -> String {
-    match cause.column() {
-        Some(column) => format!("{} of {column}", cause.name()),
-        None => cause.name().into(),
-    }
-}
-
 /// Returns the name of the rival that cannot be distinguished from the cause.
 fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     it.doubts.iter().find_map(|doubt| match doubt {
@@ -262,10 +273,18 @@ fn rival_in_doubt(it: &Judgement) -> Option<&'static str> {
     })
 }
 
+/// Returns why a term is doubted next to one that is not settled.
+fn hangs_on(open: &Kind) -> String {
+    format!(
+        "It hangs on an open question: {} is not settled, and with another answer to it this may not be needed.",
+        open.title()
+    )
+}
+
 /// Returns a doubt in a sentence.
 fn doubted(doubt: &Caveat, gain: &Gain, left_out: Unit) -> String {
     match doubt {
-        Caveat::Rival(rival) => format!("{} explains these data as well.", named(rival)),
+        Caveat::Rival(rival) => format!("{} explains these data as well.", rival.title()),
         Caveat::NotIdentified => format!(
             "It is not yet identified by these data: fitted to all {} RMS are left, on \
              left-out {left_out} {}.",
@@ -283,12 +302,12 @@ fn doubted(doubt: &Caveat, gain: &Gain, left_out: Unit) -> String {
         }
         Caveat::StartOf(late) => format!(
             "It settles as fast as {} does: the machine may not have been at rest when the record began.",
-            named(late)
+            late.title()
         ),
         Caveat::FormOf(law) => format!(
             "It may only make up for the form of {}: a part is behind its thermometer by a lag of the first \
              order only nearly, and was not at rest when the record began.",
-            named(law)
+            law.title()
         ),
         Caveat::GainsOnce => "It gains on one part of the record alone: it was seen once.".into(),
         Caveat::MayGainNothing => format!(
@@ -305,17 +324,13 @@ fn doubted(doubt: &Caveat, gain: &Gain, left_out: Unit) -> String {
         }
         Caveat::BesideTable(table) => format!(
             "It goes with the position, as {} does: the machine may be as uneven between the points of that table.",
-            named(table)
+            table.title()
         ),
         Caveat::OnlyTogether(other) => format!(
             "It is only certain together with {}: neither of the two stands alone.",
-            named(other)
+            other.title()
         ),
-        Caveat::HangsOn(open) => format!(
-            "It hangs on an open question: {} is not settled, and with another answer to it this may not be \
-             needed.",
-            named(open)
-        ),
+        Caveat::HangsOn(open) => hangs_on(open),
         Caveat::HalvesDiffer([first, second]) => format!(
             "The first half of the record says {}, the second {}: more apart than the two are uncertain.",
             five_digits(*first),

@@ -29,6 +29,7 @@ mod rest;
 mod shortfall;
 mod slow_step;
 mod transfer;
+mod unknown_rest;
 mod unseen;
 mod verdict;
 mod wandering;
@@ -63,6 +64,7 @@ use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::Power;
 use report::{After, Before, HeldOutParts, Rejected, Report};
+use unknown_rest::UnknownRest;
 use unseen::Unseen;
 use verdict::{Grounds, verdict};
 use wandering::Wandering;
@@ -164,6 +166,8 @@ pub(crate) fn conclude(
     let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
+    let unknown_rest =
+        UnknownRest::of(&data, repeats.as_ref(), [&before_rows, &after_rows].map(|rows| rms(rows)));
     let grounds = Grounds {
         found: &found,
         judged,
@@ -171,6 +175,7 @@ pub(crate) fn conclude(
         repeats: repeats.as_ref(),
         power: &power,
         wandering: wandering.as_ref(),
+        unknown_rest,
         between_neighbours_um: between_neighbours_um(&after_rows),
         instrument_um: data.machine.instrument_um,
         transfer: transfer.as_ref(),
@@ -180,7 +185,8 @@ pub(crate) fn conclude(
     };
     let (verdict, reasons) = verdict(&grounds);
     let (verdict, reasons) = open.judge(verdict, reasons);
-    let mut findings = chosen.findings(&search, &open, &after, within);
+    let is_most_unknown = unknown_rest.is_some_and(|rest| rest.is_most);
+    let mut findings = chosen.findings(&search, &open, &after, within, is_most_unknown);
     findings.splice(0..0, open.finding(asked.bridge, &data, &after));
     if has_outliers {
         findings.push(outliers(&data, &after, &aside));
@@ -204,7 +210,7 @@ pub(crate) fn conclude(
         before: Before::of(&before_rows, holdout_before_um),
         after: After::of(&after_rows, &on_board, [holdout_after_um, holdout_compensated_um]),
         verdict,
-        reasons: reasons.iter().map(ToString::to_string).collect(),
+        reasons: each_once(reasons.iter().map(ToString::to_string)),
         notes,
         holdout_used: !dropped.is_empty(),
         left_out: dropped.iter().map(left_out).collect(),
@@ -234,6 +240,17 @@ pub(crate) fn conclude(
         diagnosis.report.missing_inputs = missing_inputs(&extended::machine(&diagnosis));
     }
     Ok(diagnosis)
+}
+
+/// Returns the sentences in their order, none of them twice: forms of one cause say the same.
+fn each_once(sentences: impl Iterator<Item = String>) -> Vec<String> {
+    let mut all: Vec<String> = Vec::new();
+    for sentence in sentences {
+        if !all.contains(&sentence) {
+            all.push(sentence);
+        }
+    }
+    all
 }
 
 /// Returns the model as the board runs it: without what only happened once, and what is not the machine's; and in the

@@ -24,7 +24,7 @@ use crate::{
     judge::Judgement,
     kind::Kind,
     model::Model,
-    predict::{Predicted, prediction},
+    predict::{Predicted, Prediction, SIZES, prediction},
     search::{Found, start},
 };
 
@@ -101,15 +101,21 @@ impl Written {
             }
         };
         let room = MAX_TERMS.saturating_sub(problem.data.machine.terms.len());
-        let prediction = prediction(on, &folds, &beside).filter(|it| {
+        let foresees = |it: &Prediction| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)
                 && !is_rival(&it.foreseen.left)
-                && Measured::new(on, runs).violated(on, &it.model).is_none()
-                && !is_worse(on, &it.model)
-        });
-        if let Some(prediction) = prediction {
+        };
+        let measured = Measured::new(on, runs);
+        let is_possible =
+            |model: &Model| measured.violated(on, model).is_none() && !is_worse(on, model);
+        // Of many terms some take each other back: then fewer are tried, as long as they foresee.
+        let tried = SIZES
+            .into_iter()
+            .map_while(|most| prediction(on, &folds, &beside, most).filter(&foresees));
+        let chosen = { tried }.find(|it| is_possible(&it.model));
+        if let Some(prediction) = chosen {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;
             let others = named.into_iter().filter(|part| !self.board.has(&part.kind));
             let others: Vec<_> = others.map(|part| (part.kind, NotWritten::ForesawLess)).collect();

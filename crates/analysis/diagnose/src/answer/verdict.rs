@@ -7,21 +7,15 @@ use trueup_page::micrometres;
 use crate::{
     answer::{
         power::Power, report::Verdict, rest::OF_THE_MACHINE, shortfall::Shortfall,
-        transfer::Transfer, wandering::Wandering,
+        transfer::Transfer, unknown_rest::UnknownRest, wandering::Wandering,
     },
     judge::Judgement,
-    repeats::Repeats,
+    repeats::{REPEATABLE_UM, Repeats},
     search::{
         Found,
         lack_of_fit::{Inputs, LackOfFit},
     },
 };
-
-/// A machine whose readings at one position scatter by more (standard deviation, in µm) is no machine
-/// to be corrected but one to be mended: its repeatability by ISO 230-2, 4·s, is beyond 20 µm, about
-/// the most that ISO 10791-4 lets a machining centre of 2 m have. Less than that may be the noise of
-/// the instrument.
-const REPEATABLE_UM: f64 = 5.0;
 
 /// A slow drift is structure where it is larger than what differs from reading to reading by more than this factor: it
 /// remembers more than three readings.
@@ -49,6 +43,8 @@ pub(crate) enum Reason {
     /// No error of a size that matters could have been distinguished from noise.
     TooLittle(Power),
     Wanders(Wandering),
+    /// What is left may be the machine as well as the gauge.
+    UnknownRest(UnknownRest),
     /// The CNC applies the offsets otherwise than once.
     Applied,
     /// It may do so: the bridge was engaged in all rows.
@@ -129,6 +125,7 @@ impl fmt::Display for Reason {
                 micrometres(*matters_um)
             ),
             Self::Wanders(wandering) => wandering.fmt(f),
+            Self::UnknownRest(rest) => rest.fmt(f),
             Self::Applied => f.write_str(
                 "the CNC applies the offset otherwise than once: the machine file stays until that is put right",
             ),
@@ -154,6 +151,8 @@ pub(super) struct Grounds<'g> {
     pub repeats: Option<&'g Repeats>,
     pub power: &'g Power,
     pub wandering: Option<&'g Wandering>,
+    /// What is left, where nothing shows that it is the gauge's.
+    pub unknown_rest: Option<UnknownRest>,
     /// Scatter from one reading to the next, as a standard deviation of each, in µm.
     pub between_neighbours_um: f64,
     /// The expanded uncertainty of the instrument (95 %), in µm, where that is known.
@@ -220,6 +219,7 @@ fn of_runs(grounds: &Grounds<'_>) -> (Verdict, Vec<Reason>) {
     if judged.iter().any(|it| it.cause().is_by_the_clock()) {
         reasons.push(Reason::ByTheClock);
     }
+    reasons.extend(grounds.unknown_rest.map(Reason::UnknownRest));
     if judged.iter().any(|it| it.between.as_ref().is_some_and(|it| it.found.is_doubted())) {
         reasons.push(Reason::BetweenPoints);
     }

@@ -23,6 +23,7 @@
 //! it gains without each other term, and no other term takes     else: only certain together
 //! back what it does
 //! it is needed whichever rival of another term is right         else: it hangs on that question
+//! of a path of heat: no other path is open                      else: with other rows another one is
 //! it has an input of its own (a jump, a drift, an offset and a     else: it may be what an open term lacks
 //! curvature have none), or no other term is open
 //! the position came back, of a line or a wave over it          else: it may be a drift, or go with the clock
@@ -156,6 +157,7 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     doubt_what_hangs_on_an_open_question(&case, &mut judged);
     doubt_what_stands_beside_an_open_end(&mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
+    doubt_heat_beside_open_heat(&mut judged);
     doubt_what_may_be_the_rest_of_an_open_term(&mut judged);
     leave_what_only_this_record_holds_up(&mut judged);
     judged
@@ -329,6 +331,17 @@ fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
     let Some(open) = open.map(|it| it.cause().clone()) else { return };
     let claimed = |it: &&mut Judgement| is_own(it) && it.doubts.is_empty();
     for it in judged.iter_mut().filter(claimed) {
+        it.doubts.push(Caveat::HangsOn(open.clone()));
+    }
+}
+
+/// Takes back the claims of paths of heat next to an open one: thermometers of one machine go alike, and with other rows of
+/// the same record the one that is open is another, and takes another part.
+fn doubt_heat_beside_open_heat(judged: &mut [Judgement]) {
+    let is_path = |it: &Judgement| it.cause().tier() > 0 && it.cause().heat_path().is_some();
+    let open = judged.iter().find(|it| is_path(it) && !it.doubts.is_empty());
+    let Some(open) = open.map(|it| it.cause().clone()) else { return };
+    for it in judged.iter_mut().filter(|it| is_path(it) && it.doubts.is_empty()) {
         it.doubts.push(Caveat::HangsOn(open.clone()));
     }
 }

@@ -44,6 +44,10 @@ const FIRST_BLOCKS: usize = 24;
 /// Of fewer groups a subsample shows too little.
 const FEW: usize = 40;
 
+/// Terms of a correction at the most, the most first: where more leave the measured range fewer may not.
+pub(crate) const SIZES: [usize; 3] =
+    [compact::MAX_TERMS, compact::MAX_TERMS / 2, compact::MAX_TERMS / 4];
+
 /// A correction, and what it foresaw of parts that it was not fitted to.
 #[derive(Clone, Debug)]
 pub(crate) struct Prediction {
@@ -66,15 +70,22 @@ pub(crate) fn later_from(groups: usize) -> [usize; 2] {
 }
 
 /// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is
-/// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
-pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
+/// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth. `most` is the number of terms
+/// at the most.
+pub(crate) fn prediction(
+    problem: &Problem,
+    folds: &Folds,
+    beside: &[f64],
+    most: usize,
+) -> Option<Prediction> {
     let dictionary = Dictionary::new(problem);
     let measured = problem.residual(&Model::default());
     let y: Vec<f64> = measured.iter().zip(beside).map(|(um, beside)| um - beside).collect();
     let groups = y.len();
     let is_timed = problem.data.time_s.is_some();
     let all: Vec<usize> = (0..groups).collect();
-    let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large: problem.is_large() };
+    let is_large = problem.is_large();
+    let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large, most };
     let whole = engine.run(&all, PAIRS)?;
     let model = whole.model(&dictionary, start(&problem.data));
     let parts = folds.parts();
@@ -102,6 +113,8 @@ struct Engine<'e> {
     y: &'e [f64],
     is_timed: bool,
     is_large: bool,
+    /// Terms of the correction, at the most.
+    most: usize,
 }
 
 impl Engine<'_> {
@@ -122,11 +135,12 @@ impl Engine<'_> {
             let most = (count as f64 / length).min(count as f64 / 8.0) as usize;
             blocks = stretches(count, most.clamp(BLOCKS[0], BLOCKS[1]).min(count));
         }
-        let terms = forward(rows, &blocks, compact::MAX_TERMS, true);
+        let mut terms = forward(rows, &blocks, compact::MAX_TERMS, true);
         if terms.is_empty() {
             return None;
         }
         if count < FEW {
+            terms.truncate(self.most);
             return Some(single(self.dictionary, self.y, rows, &terms));
         }
         let number = blocks[count - 1] + 1;
@@ -153,7 +167,7 @@ impl Engine<'_> {
             let fitted = single(self.dictionary, self.y, &of, &found);
             compact::Sample { inside: of, outside, fitted }
         });
-        Some(compact(self.dictionary, self.y, rows, &samples, self.is_large))
+        Some(compact(self.dictionary, self.y, rows, &samples, self.most, self.is_large))
     }
 }
 

@@ -18,8 +18,8 @@ use crate::{
 pub(crate) enum LackOfFit {
     /// A cause explains more than noise would let it, but predicts no better what was left out.
     NoGain {
-        /// The name of the cause.
-        cause: &'static str,
+        /// The cause, with the column that it hangs on.
+        cause: Kind,
         left_out: Unit,
     },
     /// A curve over these explains more than noise would let it.
@@ -37,7 +37,11 @@ impl fmt::Display for LackOfFit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::NoGain { cause, left_out } => {
-                write!(f, "{cause} is more than noise, but has no gain on left-out {left_out}")
+                write!(
+                    f,
+                    "{} is more than noise, but has no gain on left-out {left_out}",
+                    cause.title()
+                )
             }
             Self::GoesWith(inputs) => write!(f, "what is left goes with {inputs}"),
         }

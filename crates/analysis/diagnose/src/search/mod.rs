@@ -297,7 +297,7 @@ impl Search<'_> {
             .filter(|tried| rms_um - tried.rms_um > self.relevant_um)
             .filter_map(|tried| match tried.why_not {
                 RejectReason::NoGain { left_out, .. } => {
-                    Some(LackOfFit::NoGain { cause: tried.cause.name(), left_out })
+                    Some(LackOfFit::NoGain { cause: tried.cause.clone(), left_out })
                 }
                 _ => None,
             })
