@@ -80,7 +80,7 @@ mod app {
         server::Response,
     };
     use trueup_node::node::{Frames, Interface, Node};
-    use trueup_store::retained;
+    use trueup_store::{pace::Permit, retained};
 
     /// The tasks that other tasks start have an interrupt that no pin uses. A pended interrupt cannot
     /// be lost: raised while its task runs, it makes it run again.
@@ -358,8 +358,8 @@ mod app {
         Supervision::report_zero(shared.node.lock(|node| node.take_zero()));
         // One record at a time: what else is to be stored waits for a later turn.
         it.pace_store();
-        if it.may_store() {
-            it.store_standing(&mut shared.node);
+        if let Some(permit) = it.may_store() {
+            it.store_standing(&mut shared.node, permit);
         }
         // Looked at and stored outside the lock: neither holds up a tick.
         if let Some(mut load) = shared.node.lock(|node| node.take_load()) {
@@ -383,14 +383,14 @@ mod app {
         {
             shared.node.lock(|node| node.set_fault(Fault::Store));
         }
-        if it.may_store() {
-            it.store_write(&mut shared.node);
+        if let Some(permit) = it.may_store() {
+            it.store_write(&mut shared.node, permit);
         }
         if shared.node.lock(|node| node.take_restart()) {
             defmt::info!("restart, as a CANopen master asks");
             // What waits would be lost.
-            it.store_standing(&mut shared.node);
-            while it.store_write(&mut shared.node) {}
+            it.store_standing(&mut shared.node, Permit::before_restart());
+            while it.store_write(&mut shared.node, Permit::before_restart()) {}
             it.retain(&shared.node.lock(|node| node.retained()));
             // No more lines; those that wait go out meanwhile, for half a line is none that a client expects.
             shared.port.lock(Port::close);

@@ -6,7 +6,7 @@ use trueup_link::slcan::Port;
 use trueup_node::node::{Node, Zero};
 use trueup_store::{
     load::{Load, Outcome},
-    pace::Pace,
+    pace::{Pace, Permit},
     reference::References,
     retained,
 };
@@ -124,9 +124,9 @@ impl Supervision {
         self.store_pace.elapse(PERIOD_MS);
     }
 
-    /// Returns whether the store takes a record now: one in [`trueup_store::pace::STORE_PERIOD_MS`].
-    pub fn may_store(&self) -> bool {
-        self.store_pace.is_due()
+    /// Returns the permission where the store takes a record now: one in [`trueup_store::pace::STORE_PERIOD_MS`].
+    pub fn may_store(&self) -> Option<Permit> {
+        self.store_pace.permit()
     }
 
     /// Logs the outcome of a `Zero` that has changed nothing.
@@ -139,10 +139,14 @@ impl Supervision {
     }
 
     /// Stores what holds for the calibration, where that has changed.
-    pub fn store_standing(&mut self, node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>) {
+    pub fn store_standing(
+        &mut self,
+        node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>,
+        permit: Permit,
+    ) {
         let (standing, supply) = node.lock(|node| (node.take_standing(), node.supply_basis()));
         let Some(standing) = standing else { return };
-        self.store_pace.record();
+        self.store_pace.record(permit);
         if !references::store(&mut self.references, standing, supply) {
             node.lock(|node| node.set_fault(Fault::Store));
         }
@@ -159,9 +163,10 @@ impl Supervision {
     pub fn store_write(
         &mut self,
         node: &mut impl rtic::Mutex<T = &'static mut Node<'static>>,
+        permit: Permit,
     ) -> bool {
         let Some(write) = node.lock(|node| node.take_write()) else { return false };
-        self.store_pace.record();
+        self.store_pace.record(permit);
         let stored = references::keep_write(&mut self.references, &write);
         node.lock(|node| node.end_write(&write, stored));
         true

@@ -9,15 +9,31 @@ pub const STORE_PERIOD_MS: u32 = 50;
 /// ```
 /// use trueup_store::pace::{Pace, STORE_PERIOD_MS};
 /// let mut pace = Pace::default();
-/// assert!(pace.is_due());
-/// pace.record();
-/// assert!(!pace.is_due());
+/// let permit = pace.permit().expect("the first one at once");
+/// pace.record(permit);
+/// assert!(pace.permit().is_none());
 /// pace.elapse(STORE_PERIOD_MS);
-/// assert!(pace.is_due());
+/// assert!(pace.permit().is_some());
 /// ```
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Pace {
     until_ms: u32,
+}
+
+/// The permission to store one record: whatever stores a paced one asks for it, and it cannot be made up.
+///
+/// ```compile_fail,E0423
+/// let permit = trueup_store::pace::Permit(());
+/// ```
+#[derive(Debug)]
+pub struct Permit(());
+
+impl Permit {
+    /// Returns the permission for a record that a restart would lose: no deadline stands after it.
+    #[must_use]
+    pub const fn before_restart() -> Self {
+        Self(())
+    }
 }
 
 impl Pace {
@@ -26,14 +42,14 @@ impl Pace {
         self.until_ms = self.until_ms.saturating_sub(elapsed_ms);
     }
 
-    /// Returns whether a record may be stored now: the first one at once.
+    /// Returns the permission where a record may be stored now: the first one at once.
     #[must_use]
-    pub const fn is_due(&self) -> bool {
-        self.until_ms == 0
+    pub const fn permit(&self) -> Option<Permit> {
+        if self.until_ms == 0 { Some(Permit(())) } else { None }
     }
 
-    /// Notes that one is stored.
-    pub fn record(&mut self) {
+    /// Notes that the record is stored.
+    pub fn record(&mut self, Permit(()): Permit) {
         self.until_ms = STORE_PERIOD_MS;
     }
 }
@@ -51,8 +67,8 @@ mod tests {
             pace.elapse(10);
             // As a turn of the supervisor does: what holds for the calibration first, then a write.
             for _ in 0..2 {
-                if pace.is_due() {
-                    pace.record();
+                if let Some(permit) = pace.permit() {
+                    pace.record(permit);
                     stored.push(turn * 10);
                 }
             }
