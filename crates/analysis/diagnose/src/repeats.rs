@@ -29,7 +29,7 @@ pub(crate) const REPEATABLE_UM: f64 = 5.0;
 /// More places than a table of the machine file should have points are no targets.
 const MAX_PLACES: usize = 512;
 /// A step of the positions below this, in mm, is none: machine positions are known to a micrometre.
-const SAME_MM: f64 = 1e-3;
+pub(crate) const SAME_MM: f64 = 1e-3;
 
 /// The targets of an axis's own motion, and which row is a reading at which.
 #[derive(Clone, Debug)]

@@ -30,11 +30,14 @@ impl Residuals {
 
 /// Errors of the rows that count, in µm, but for those that are set `aside`.
 pub(crate) fn errors(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> Vec<f64> {
-    (0..data.rows)
-        .filter(|&row| data.used[row] && aside.is_none_or(|aside| !aside[row]))
-        .map(|row| data.measured[row] - predicted[row])
-        .filter(|error| error.is_finite())
-        .collect()
+    errors_by_row(data, predicted, aside).into_iter().filter(|error| error.is_finite()).collect()
+}
+
+/// The error of each row in µm, NaN where one does not count or is set `aside`.
+pub(crate) fn errors_by_row(data: &Data, predicted: &[f64], aside: Option<&[bool]>) -> Vec<f64> {
+    let counts = |row: usize| data.used[row] && aside.is_none_or(|aside| !aside[row]);
+    let error = |row: usize| data.measured[row] - predicted[row];
+    (0..data.rows).map(|row| if counts(row) { error(row) } else { f64::NAN }).collect()
 }
 
 /// Errors of the runs about their mean where the zero of the measurement is arbitrary, as that of an axis

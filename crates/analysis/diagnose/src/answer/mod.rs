@@ -57,7 +57,7 @@ use crate::{
 };
 use applied::Bridge;
 use chosen::{Chosen, Search};
-use errors::{Residuals, about_zero};
+use errors::{Residuals, about_zero, errors_by_row};
 use finding::{not_claimed, outliers};
 use held_out::LeftOutParts;
 use hold_out::HoldOut;
@@ -166,8 +166,9 @@ pub(crate) fn conclude(
     let repeats = repeats::analyse(&data, &after, &aside);
     let left_um = rms(&after_rows);
     let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
+    let by_row = errors_by_row(&data, &after, Some(&aside));
     let unknown_rest =
-        UnknownRest::of(&data, repeats.as_ref(), [&before_rows, &after_rows].map(|rows| rms(rows)));
+        UnknownRest::of(&data, repeats.as_ref(), [rms(&before_rows), left_um], &by_row);
     let grounds = Grounds {
         found: &found,
         judged,

@@ -111,10 +111,10 @@ impl Written {
         let is_possible =
             |model: &Model| measured.violated(on, model).is_none() && !is_worse(on, model);
         // Of many terms some take each other back: then fewer are tried, as long as they foresee.
-        let tried = SIZES
+        let chosen = SIZES
             .into_iter()
-            .map_while(|most| prediction(on, &folds, &beside, most).filter(&foresees));
-        let chosen = { tried }.find(|it| is_possible(&it.model));
+            .map_while(|most| prediction(on, &folds, &beside, most).filter(&foresees))
+            .find(|it| is_possible(&it.model));
         if let Some(prediction) = chosen {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;
             let others = named.into_iter().filter(|part| !self.board.has(&part.kind));

@@ -1,42 +1,57 @@
-//! What a record leaves, where nothing in it shows whether the gauge or the machine did it.
+//! What a record leaves, where nothing in it shows that the gauge did it.
 //!
 //! Readings scattered over the travels of several axes have no neighbours: what differs from one to the next may be noise,
-//! or a law of the positions that no term has. Repeats, a gauge whose uncertainty is stated, or a clock of readings
-//! at rest settle that.
+//! or a law of the positions that no term has. Places that were measured twice, or a gauge whose uncertainty is stated,
+//! settle that. A clock and the repeats of one axis have judges of their own.
 
-use std::fmt;
+use std::{collections::HashMap, fmt};
 
 use trueup_page::micrometres;
 
 use crate::{
     data::Data,
-    repeats::{REPEATABLE_UM, Repeats},
+    repeats::{REPEATABLE_UM, Repeats, SAME_MM},
 };
 
 /// With more than this share of the error left the names may stand for another law.
 const MOST: f64 = 0.5;
+/// More than this many standard deviations of the gauge is not the gauge's: its expanded uncertainty (95 %).
+const EXPANDED: f64 = 2.0;
+/// Second readings from which a scatter is known: to a third, by its χ² with five degrees of freedom.
+const MIN_SECOND: usize = 5;
 
-/// A residual of unknown origin.
+/// A residual that nothing shows to be the gauge's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct UnknownRest {
     /// RMS in µm.
-    pub left_um: f64,
+    left_um: f64,
+    /// The standard deviation of the gauge in µm, where that is known: then the rest is the machine's.
+    gauge_um: Option<f64>,
     /// Whether it is most of the error.
     pub is_most: bool,
 }
 
 impl UnknownRest {
-    /// Returns what is left of `before_um` (RMS), where it is more than a machine scatters and nothing shows its noise.
+    /// Returns what is left of `before_um` (RMS), where it is more than a machine scatters and not shown to be the
+    /// gauge's. `errors` are of all rows, in µm; NaN where one does not count.
     pub(super) fn of(
         data: &Data,
         repeats: Option<&Repeats>,
         [before_um, left_um]: [f64; 2],
+        errors: &[f64],
     ) -> Option<Self> {
-        let is_known =
-            repeats.is_some() || data.machine.instrument_um.is_some() || data.time_s.is_some();
         let moves = data.position_mm.iter().flatten().any(|mm| is_moving(mm));
-        (!is_known && moves && left_um > REPEATABLE_UM)
-            .then_some(Self { left_um, is_most: left_um > MOST * before_um })
+        if repeats.is_some() || data.time_s.is_some() || !moves {
+            return None;
+        }
+        let stated_um = data.machine.instrument_um.map(|um| um / EXPANDED);
+        let gauge_um = stated_um.or_else(|| scatter_um(data, errors));
+        let is_explained = gauge_um.is_some_and(|um| left_um <= EXPANDED * um);
+        (left_um > REPEATABLE_UM && !is_explained).then_some(Self {
+            left_um,
+            gauge_um,
+            is_most: left_um > MOST * before_um,
+        })
     }
 }
 
@@ -47,14 +62,43 @@ fn is_moving(mm: &[f64]) -> bool {
     high > low
 }
 
+/// Returns the standard deviation of readings at one place, in µm, where enough places were measured again.
+fn scatter_um(data: &Data, errors: &[f64]) -> Option<f64> {
+    let place = |row: usize| {
+        data.position_mm.each_ref().map(|axis| {
+            let mm = axis.as_ref().map_or(0.0, |mm| mm[row]);
+            (mm / SAME_MM).round() as i64
+        })
+    };
+    let mut places: HashMap<[i64; 3], Vec<f64>> = HashMap::new();
+    for (row, um) in errors.iter().enumerate().filter(|(_, um)| !um.is_nan()) {
+        places.entry(place(row)).or_default().push(*um);
+    }
+    let (mut squares, mut second) = (0.0, 0);
+    for readings in places.values() {
+        let mean = readings.iter().sum::<f64>() / readings.len() as f64;
+        squares += readings.iter().map(|um| (um - mean).powi(2)).sum::<f64>();
+        second += readings.len() - 1;
+    }
+    (second >= MIN_SECOND).then(|| (squares / second as f64).sqrt())
+}
+
 impl fmt::Display for UnknownRest {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "what is left, {} RMS, may be the machine as well as the gauge: no position comes again, and the \
-             uncertainty of the gauge is not stated ([instrument] uncertainty_um). Measure each position twice",
-            micrometres(self.left_um)
-        )
+        let left = micrometres(self.left_um);
+        match self.gauge_um {
+            Some(um) => write!(
+                f,
+                "what is left, {left} RMS, is more than the gauge scatters, {}: it is the machine's, and no cause explains it",
+                micrometres(um)
+            ),
+            None => write!(
+                f,
+                "what is left, {left} RMS, may be the machine as well as the gauge: no position comes again, and the \
+                 uncertainty of the gauge is not stated ([instrument] uncertainty_um). Measure {MIN_SECOND} positions twice \
+                 or more"
+            ),
+        }
     }
 }
 
@@ -66,28 +110,53 @@ mod tests {
 
     use super::*;
 
-    fn of(machine: &str, run: &str, left_um: f64) -> Option<UnknownRest> {
+    fn of(machine: &str, run: &str, left_um: f64, errors: &[f64]) -> Option<UnknownRest> {
         let machine = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{machine}");
         let machine = MachineFile::parse(&machine, Path::new("m.toml")).expect("a machine file");
         let run = RunFile::from_reader(run.as_bytes(), Path::new("r.csv")).expect("a run file");
         let quantity = crate::data::quantity_of(std::slice::from_ref(&run), None).expect("one");
         let data = Data::applied(&machine, &[run], quantity, 0.0).expect("data");
-        UnknownRest::of(&data, None, [20.0, left_um])
+        UnknownRest::of(&data, None, [20.0, left_um], errors)
     }
 
     const SCATTERED: &str = "x_mm,y_mm,measured_dx_um\n1,2,3\n90,40,-20\n30,70,11\n";
 
     #[test]
     fn what_is_left_of_scattered_positions_has_no_known_origin() {
-        let rest = of("", SCATTERED, 8.0).expect("unknown");
-        assert_eq!((rest.left_um, rest.is_most), (8.0, false));
-        assert!(of("", SCATTERED, 11.0).expect("unknown").is_most);
-        // A machine may scatter so; the gauge is stated; a clock shows readings at rest; nothing moves.
-        assert_eq!(of("", SCATTERED, 4.0), None);
-        assert_eq!(of("[instrument]\nuncertainty_um = 30.0\n", SCATTERED, 8.0), None);
+        let rest = of("", SCATTERED, 8.0, &[8.0, -8.0, f64::NAN]).expect("unknown");
+        assert_eq!((rest.left_um, rest.gauge_um, rest.is_most), (8.0, None, false));
+        assert!(of("", SCATTERED, 11.0, &[11.0; 3]).expect("unknown").is_most);
+        // A machine may scatter so; a clock shows readings at rest; nothing moves.
+        assert_eq!(of("", SCATTERED, 4.0, &[4.0; 3]), None);
         let timed = "time_s,x_mm,measured_dx_um\n0,1,3\n1,90,-20\n2,30,11\n";
-        assert_eq!(of("", timed, 8.0), None);
+        assert_eq!(of("", timed, 8.0, &[8.0; 3]), None);
         let at_rest = "x_mm,measured_dx_um\n5,3\n5,-20\n5,11\n";
-        assert_eq!(of("", at_rest, 8.0), None);
+        assert_eq!(of("", at_rest, 8.0, &[8.0; 3]), None);
+    }
+
+    #[test]
+    fn a_gauge_that_is_stated_says_whose_the_rest_is() {
+        let stated = |um: f64| format!("[instrument]\nuncertainty_um = {um:.1}\n");
+        assert_eq!(of(&stated(30.0), SCATTERED, 8.0, &[8.0; 3]), None);
+        let rest = of(&stated(4.0), SCATTERED, 8.0, &[8.0; 3]).expect("the machine's");
+        assert_eq!(rest.gauge_um, Some(2.0));
+        assert!(rest.to_string().contains("it is the machine's"), "{rest}");
+    }
+
+    /// Five places, each twice, 2 µm apart: a standard deviation of √2 µm.
+    #[test]
+    fn places_that_were_measured_twice_say_it_as_well() {
+        let mut run = "x_mm,y_mm,measured_dx_um\n".to_string();
+        for n in 0..10 {
+            run += &format!("{},{},{n}\n", 10 * (n / 2), 7 * (n / 2));
+        }
+        let apart = |um: f64| (0..10).map(|n| 8.0 + um * f64::from(n % 2)).collect::<Vec<_>>();
+        let rest = of("", &run, 9.0, &apart(2.0)).expect("the machine's");
+        assert!((rest.gauge_um.expect("known") - 2.0_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(of("", &run, 9.0, &apart(16.0)), None);
+        // Four second readings are too few.
+        let mut few = apart(2.0);
+        few[0] = f64::NAN;
+        assert_eq!(of("", &run, 9.0, &few).expect("unknown").gauge_um, None);
     }
 }
