@@ -118,6 +118,14 @@ impl Kind {
         })
     }
 
+    /// Returns whether it may be a part of `open`, a term that is not settled. What has no input of its own may be part of
+    /// any: what that one lacks goes with time and with the prediction as well. A path of heat may be part of another:
+    /// thermometers of one machine go alike, and with other rows of the same record another one is open.
+    pub(crate) fn may_be_of(&self, open: &Self) -> bool {
+        let is_path = |kind: &Self| kind.tier() > 0 && kind.heat_path().is_some();
+        !open.is_of_instrument() && !self.has_own_input() || is_path(open) && is_path(self)
+    }
+
     /// Returns whether its first value is a time that is searched, not fitted.
     pub(crate) fn has_instant(&self) -> bool {
         self.cause().is_some_and(Effect::has_instant)

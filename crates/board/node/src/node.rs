@@ -302,21 +302,21 @@ impl<'a> Node<'a> {
     }
 
     fn receive_control(&mut self, line: Interface, control: Control) {
-        let Some(heard) = self.master.take(line, control) else { return };
-        if heard.confirm {
+        let Some(received) = self.master.take(line, control) else { return };
+        if received.confirm {
             self.confirm(line);
         }
         self.inhibit();
-        self.receive_learned(heard.control.learned);
+        self.receive_learned(received.control.learned);
         let Some(bridge) = &self.bridge else { return };
         let before = self.state.reference();
-        bridge.receive_control(&mut self.state, heard.control);
+        bridge.receive_control(&mut self.state, received.control);
         let now = self.state.reference();
         let zeroed = self.state.take_zeroed();
         if now != before || zeroed && self.offer.is_open() {
             self.zero = Some(Zero::Taken(now));
             self.end_offer(now, WriteKind::Zeroed, Some(line));
-        } else if heard.zero && self.zero.is_none() {
+        } else if received.zero && self.zero.is_none() {
             self.zero = Some(Zero::Unchanged);
             self.zero_refused = true;
         }

@@ -174,17 +174,15 @@ impl Chosen {
             finding
         };
         let mut findings: Vec<Finding> = judged.iter().map(of_judgement).collect();
-        // What takes no part of its own hangs on all that is open, also where writing made it so.
-        let is_open = |(it, finding): &(&Judgement, &Finding)| {
-            !finding.claimed && !it.cause().is_of_instrument()
-        };
-        let open_one = judged.iter().zip(&findings).find(is_open).map(|(it, _)| it.cause().clone());
+        // A term may be open only since it could not be written.
+        let open_ones = judged.iter().zip(&findings).filter(|(_, finding)| !finding.claimed);
+        let open_ones: Vec<&Kind> = open_ones.map(|(it, _)| it.cause()).collect();
         for (it, finding) in judged.iter().zip(&mut findings) {
-            if let Some(open_one) = open_one.as_ref().filter(|_| !it.cause().has_own_input()) {
-                finding.hangs_on(open_one);
+            if let Some(open) = open_ones.iter().find(|open| it.cause().may_be_of(open)) {
+                finding.hangs_on(open);
             }
             if is_most_unknown {
-                finding.is_beside_an_unknown_rest();
+                finding.leaves_most_unknown();
             }
         }
         open.mark(&mut findings);

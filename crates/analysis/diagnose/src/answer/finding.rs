@@ -149,7 +149,7 @@ impl Finding {
         self.evidence.push("It was found beside what the hold-out does not bear out.".into());
     }
 
-    /// It has no input of its own, and `open` is not settled.
+    /// It may be a part of `open`, which is not settled.
     pub(super) fn hangs_on(&mut self, open: &Kind) {
         if self.claimed {
             self.claimed = false;
@@ -158,7 +158,7 @@ impl Finding {
     }
 
     /// More is left than it explains, and that may be the machine.
-    pub(super) fn is_beside_an_unknown_rest(&mut self) {
+    pub(super) fn leaves_most_unknown(&mut self) {
         if self.claimed {
             self.claimed = false;
             self.evidence.push(

@@ -62,7 +62,7 @@ use finding::{not_claimed, outliers};
 use held_out::LeftOutParts;
 use hold_out::HoldOut;
 use on_board::left_on_board;
-use power::Power;
+use power::{COVERAGE, Power};
 use report::{After, Before, HeldOutParts, Rejected, Report};
 use unknown_rest::UnknownRest;
 use unseen::Unseen;
@@ -282,7 +282,7 @@ fn noise_um(problem: &Problem, found: &Found, errors: &[f64], repeats: Option<&R
 /// next to nothing changed. Where an axis moves from reading to reading and none comes again, nothing of it is known.
 fn noise_of_gauge_um(data: &Data, problem: &Problem, noise_um: f64, is_repeated: bool) -> f64 {
     let moves = data.own_position().is_some_and(|mm| spread(mm) > 0.0);
-    let stated_um = data.machine.instrument_um.map(|um| 0.5 * um);
+    let stated_um = data.machine.instrument_um.map(|um| um / COVERAGE);
     if is_repeated || !moves && problem.data.time_s.is_some() {
         noise_um
     } else {

@@ -36,7 +36,7 @@ const SIGNIFICANCE: f64 = 0.01;
 /// A term has mostly an amplitude and a time constant or a reference.
 const CONSTANTS: f64 = 2.0;
 /// The coverage factor of an expanded uncertainty of 95 % (GUM 6.2: 1.96, rounded to 2).
-const COVERAGE: f64 = 2.0;
+pub(super) const COVERAGE: f64 = 2.0;
 /// ISO 230-2: five targets at the least, five cycles from both sides.
 const ISO_CYCLES: usize = 5;
 const ISO_TARGETS: usize = 5;

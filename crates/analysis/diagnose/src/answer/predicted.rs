@@ -24,7 +24,7 @@ use crate::{
     judge::Judgement,
     kind::Kind,
     model::Model,
-    predict::{Predicted, Prediction, SIZES, prediction},
+    predict::{Predicted, prediction},
     search::{Found, start},
 };
 
@@ -101,21 +101,16 @@ impl Written {
             }
         };
         let room = MAX_TERMS.saturating_sub(problem.data.machine.terms.len());
-        let foresees = |it: &Prediction| {
+        let measured = Measured::new(on, runs);
+        let is_possible =
+            |model: &Model| measured.violated(on, model).is_none() && !is_worse(on, model);
+        let prediction = prediction(on, &folds, &beside, is_possible).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)
                 && !is_rival(&it.foreseen.left)
-        };
-        let measured = Measured::new(on, runs);
-        let is_possible =
-            |model: &Model| measured.violated(on, model).is_none() && !is_worse(on, model);
-        // Of many terms some take each other back: then fewer are tried, as long as they foresee.
-        let chosen = SIZES
-            .into_iter()
-            .map_while(|most| prediction(on, &folds, &beside, most).filter(&foresees))
-            .find(|it| is_possible(&it.model));
-        if let Some(prediction) = chosen {
+        });
+        if let Some(prediction) = prediction {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;
             let others = named.into_iter().filter(|part| !self.board.has(&part.kind));
             let others: Vec<_> = others.map(|part| (part.kind, NotWritten::ForesawLess)).collect();

@@ -2,21 +2,23 @@
 //!
 //! Readings scattered over the travels of several axes have no neighbours: what differs from one to the next may be noise,
 //! or a law of the positions that no term has. Places that were measured twice, or a gauge whose uncertainty is stated,
-//! settle that. A clock and the repeats of one axis have judges of their own.
+//! settle that. Along a pass the neighbours say what the noise is, and an axis measured in cycles has a judge of its own.
 
 use std::{collections::HashMap, fmt};
 
 use trueup_page::micrometres;
 
 use crate::{
+    answer::power::COVERAGE,
     data::Data,
     repeats::{REPEATABLE_UM, Repeats, SAME_MM},
 };
 
 /// With more than this share of the error left the names may stand for another law.
 const MOST: f64 = 0.5;
-/// More than this many standard deviations of the gauge is not the gauge's: its expanded uncertainty (95 %).
-const EXPANDED: f64 = 2.0;
+/// Steps from reading to reading have this many times the variance of the positions, or more: half of the 2 of positions
+/// in random order (von Neumann's ratio), where a pass has nearly 0.
+const SCATTERED: f64 = 1.0;
 /// Second readings from which a scatter is known: to a third, by its χ² with five degrees of freedom.
 const MIN_SECOND: usize = 5;
 
@@ -40,13 +42,13 @@ impl UnknownRest {
         [before_um, left_um]: [f64; 2],
         errors: &[f64],
     ) -> Option<Self> {
-        let moves = data.position_mm.iter().flatten().any(|mm| is_moving(mm));
-        if repeats.is_some() || data.time_s.is_some() || !moves {
+        let is_scattered = data.position_mm.iter().flatten().any(|mm| is_scattered(mm));
+        if repeats.is_some() || !is_scattered {
             return None;
         }
-        let stated_um = data.machine.instrument_um.map(|um| um / EXPANDED);
+        let stated_um = data.machine.instrument_um.map(|um| um / COVERAGE);
         let gauge_um = stated_um.or_else(|| scatter_um(data, errors));
-        let is_explained = gauge_um.is_some_and(|um| left_um <= EXPANDED * um);
+        let is_explained = gauge_um.is_some_and(|um| left_um <= COVERAGE * um);
         (left_um > REPEATABLE_UM && !is_explained).then_some(Self {
             left_um,
             gauge_um,
@@ -55,11 +57,14 @@ impl UnknownRest {
     }
 }
 
-fn is_moving(mm: &[f64]) -> bool {
-    let known = mm.iter().filter(|mm| !mm.is_nan());
-    let (low, high) = known
-        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &mm| (low.min(mm), high.max(mm)));
-    high > low
+/// Returns whether positions come in no order, so that neighbouring rows are no neighbours.
+fn is_scattered(mm: &[f64]) -> bool {
+    let known: Vec<f64> = mm.iter().copied().filter(|mm| !mm.is_nan()).collect();
+    let count = known.len().max(1) as f64;
+    let mean = known.iter().sum::<f64>() / count;
+    let variance = known.iter().map(|mm| (mm - mean).powi(2)).sum::<f64>() / count;
+    let steps = known.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
+    variance > 0.0 && steps / (count - 1.0) >= SCATTERED * variance
 }
 
 /// Returns the standard deviation of readings at one place, in µm, where enough places were measured again.
@@ -94,7 +99,7 @@ impl fmt::Display for UnknownRest {
             ),
             None => write!(
                 f,
-                "what is left, {left} RMS, may be the machine as well as the gauge: no position comes again, and the \
+                "what is left, {left} RMS, may be the machine as well as the gauge: hardly a position comes again, and the \
                  uncertainty of the gauge is not stated ([instrument] uncertainty_um). Measure {MIN_SECOND} positions twice \
                  or more"
             ),
@@ -126,10 +131,13 @@ mod tests {
         let rest = of("", SCATTERED, 8.0, &[8.0, -8.0, f64::NAN]).expect("unknown");
         assert_eq!((rest.left_um, rest.gauge_um, rest.is_most), (8.0, None, false));
         assert!(of("", SCATTERED, 11.0, &[11.0; 3]).expect("unknown").is_most);
-        // A machine may scatter so; a clock shows readings at rest; nothing moves.
-        assert_eq!(of("", SCATTERED, 4.0, &[4.0; 3]), None);
+        // A clock tells nothing more.
         let timed = "time_s,x_mm,measured_dx_um\n0,1,3\n1,90,-20\n2,30,11\n";
-        assert_eq!(of("", timed, 8.0, &[8.0; 3]), None);
+        assert!(of("", timed, 8.0, &[8.0; 3]).is_some());
+        // A machine may scatter so; neighbours of a pass show the noise; nothing moves.
+        assert_eq!(of("", SCATTERED, 4.0, &[4.0; 3]), None);
+        let pass = "x_mm,measured_dx_um\n0,3\n10,-20\n20,11\n30,4\n40,-2\n";
+        assert_eq!(of("", pass, 8.0, &[8.0; 5]), None);
         let at_rest = "x_mm,measured_dx_um\n5,3\n5,-20\n5,11\n";
         assert_eq!(of("", at_rest, 8.0, &[8.0; 3]), None);
     }
@@ -147,10 +155,10 @@ mod tests {
     #[test]
     fn places_that_were_measured_twice_say_it_as_well() {
         let mut run = "x_mm,y_mm,measured_dx_um\n".to_string();
-        for n in 0..10 {
-            run += &format!("{},{},{n}\n", 10 * (n / 2), 7 * (n / 2));
+        for n in [0, 3, 1, 4, 2, 0, 3, 1, 4, 2] {
+            run += &format!("{},{},{n}\n", 10 * n, 7 * n);
         }
-        let apart = |um: f64| (0..10).map(|n| 8.0 + um * f64::from(n % 2)).collect::<Vec<_>>();
+        let apart = |um: f64| (0..10).map(|n| 8.0 + um * f64::from(n / 5)).collect::<Vec<_>>();
         let rest = of("", &run, 9.0, &apart(2.0)).expect("the machine's");
         assert!((rest.gauge_um.expect("known") - 2.0_f64.sqrt()).abs() < 1e-12);
         assert_eq!(of("", &run, 9.0, &apart(16.0)), None);

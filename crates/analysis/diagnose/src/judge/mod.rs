@@ -157,7 +157,6 @@ pub(crate) fn judge(problem: &Problem, found: &Found) -> Vec<Judgement> {
     doubt_what_hangs_on_an_open_question(&case, &mut judged);
     doubt_what_stands_beside_an_open_end(&mut judged);
     doubt_what_stands_beside_another_law(&case, &mut judged);
-    doubt_heat_beside_open_heat(&mut judged);
     doubt_what_may_be_the_rest_of_an_open_term(&mut judged);
     leave_what_only_this_record_holds_up(&mut judged);
     judged
@@ -335,25 +334,13 @@ fn doubt_what_stands_beside_an_open_end(judged: &mut [Judgement]) {
     }
 }
 
-/// Takes back the claims of paths of heat next to an open one: thermometers of one machine go alike, and with other rows of
-/// the same record the one that is open is another, and takes another part.
-fn doubt_heat_beside_open_heat(judged: &mut [Judgement]) {
-    let is_path = |it: &Judgement| it.cause().tier() > 0 && it.cause().heat_path().is_some();
-    let open = judged.iter().find(|it| is_path(it) && !it.doubts.is_empty());
-    let Some(open) = open.map(|it| it.cause().clone()) else { return };
-    for it in judged.iter_mut().filter(|it| is_path(it) && it.doubts.is_empty()) {
-        it.doubts.push(Caveat::HangsOn(open.clone()));
-    }
-}
-
-/// Takes back the claims of what has no input of its own where another term is open: whatever that one lacks
-/// goes with time and with the prediction as well.
+/// Takes back the claims of what may be a part of an open term ([`Kind::may_be_of`]).
 fn doubt_what_may_be_the_rest_of_an_open_term(judged: &mut [Judgement]) {
-    let open = judged.iter().find(|it| !it.doubts.is_empty() && !it.cause().is_of_instrument());
-    let Some(open) = open.map(|it| it.cause().clone()) else { return };
-    let claimed = |it: &&mut Judgement| it.doubts.is_empty() && !it.cause().has_own_input();
-    for it in judged.iter_mut().filter(claimed) {
-        it.doubts.push(Caveat::HangsOn(open.clone()));
+    let open = judged.iter().filter(|it| !it.doubts.is_empty()).map(|it| it.cause().clone());
+    let open: Vec<Kind> = open.collect();
+    for it in judged.iter_mut().filter(|it| it.doubts.is_empty()) {
+        let other = open.iter().find(|open| it.cause().may_be_of(open)).cloned();
+        it.doubts.extend(other.map(Caveat::HangsOn));
     }
 }
 
