@@ -101,14 +101,13 @@ impl Written {
             }
         };
         let room = MAX_TERMS.saturating_sub(problem.data.machine.terms.len());
-        let measured = Measured::new(on, runs);
-        let is_possible =
-            |model: &Model| measured.violated(on, model).is_none() && !is_worse(on, model);
-        let prediction = prediction(on, &folds, &beside, is_possible).filter(|it| {
+        let prediction = prediction(on, &folds, &beside).filter(|it| {
             it.model.parts.len() <= room
                 && is_better(&original, &it.foreseen.left)
                 && goes_on(&it.foreseen)
                 && !is_rival(&it.foreseen.left)
+                && Measured::new(on, runs).violated(on, &it.model).is_none()
+                && !is_worse(on, &it.model)
         });
         if let Some(prediction) = prediction {
             let named = std::mem::replace(&mut self.board, prediction.model).parts;

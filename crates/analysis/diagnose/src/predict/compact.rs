@@ -242,11 +242,11 @@ impl Sets<'_> {
         all.into_iter().min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Returns the best set of each size up to `size`, as far as what it leaves falls.
-    fn path(&self, size: usize, is_large: bool) -> Vec<Vec<usize>> {
+    /// Returns the best set of each size, as far as it falls.
+    fn path(&self, is_large: bool) -> Vec<Vec<usize>> {
         let mut path: Vec<Vec<usize>> = Vec::new();
         let (mut set, mut least) = (Vec::new(), f64::INFINITY);
-        while path.len() < size {
+        while path.len() < MAX_TERMS {
             let Some((joined, sum)) = self.joined(&set, is_large) else { break };
             let (exchanged, sum) = self.exchanged(joined, sum, is_large);
             if sum >= least {
@@ -289,13 +289,12 @@ impl Sets<'_> {
     }
 }
 
-/// Returns the compact set of at most `size` of the terms that the subsamples found, fitted to `rows`.
+/// Returns the compact set of what the subsamples found, fitted to `rows`.
 pub(super) fn compact(
     dictionary: &Dictionary,
     y: &[f64],
     rows: &[usize],
     samples: &[Sample],
-    size: usize,
     is_large: bool,
 ) -> Compact {
     let candidates = candidates(samples);
@@ -329,7 +328,7 @@ pub(super) fn compact(
         Judge { inside, outside }
     });
     let sets = Sets { dictionary, candidates, columns, judges };
-    let set = sets.fewest(&sets.path(size, is_large));
+    let set = sets.fewest(&sets.path(is_large));
     let terms: Vec<usize> = set.iter().map(|&n| sets.candidates[n]).collect();
     let target: Vec<f64> = rows
         .iter()

@@ -44,9 +44,6 @@ const FIRST_BLOCKS: usize = 24;
 /// Of fewer groups a subsample shows too little.
 const FEW: usize = 40;
 
-/// Largest numbers of terms of a correction: where eight leave the measured range, four or two may stay within it.
-const SIZES: [usize; 3] = [compact::MAX_TERMS, compact::MAX_TERMS / 2, compact::MAX_TERMS / 4];
-
 /// A correction, and what it foresaw of parts that it was not fitted to.
 #[derive(Clone, Debug)]
 pub(crate) struct Prediction {
@@ -68,43 +65,30 @@ pub(crate) fn later_from(groups: usize) -> [usize; 2] {
     [groups / 2, 2 * groups / 3]
 }
 
-/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks, or no size of it
-/// `is_possible`. `explained_um` is of each group what no board runs, in µm: a gauge that drifts is no growth.
-pub(crate) fn prediction(
-    problem: &Problem,
-    folds: &Folds,
-    explained_um: &[f64],
-    is_possible: impl Fn(&Model) -> bool,
-) -> Option<Prediction> {
+/// Returns the correction that foresees left-out parts best; none where no term gains on left-out blocks. `beside` is
+/// what no board runs and is explained in each group, in µm: a gauge that drifts is no growth.
+pub(crate) fn prediction(problem: &Problem, folds: &Folds, beside: &[f64]) -> Option<Prediction> {
     let dictionary = Dictionary::new(problem);
     let measured = problem.residual(&Model::default());
-    let y: Vec<f64> = measured.iter().zip(explained_um).map(|(um, other)| um - other).collect();
+    let y: Vec<f64> = measured.iter().zip(beside).map(|(um, beside)| um - beside).collect();
     let groups = y.len();
     let is_timed = problem.data.time_s.is_some();
     let all: Vec<usize> = (0..groups).collect();
-    let is_large = problem.is_large();
-    let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large };
-    let found = engine.search(&all, PAIRS)?;
-    let mut sizes = SIZES.into_iter().map(|size| {
-        let whole = engine.compact(&found, &all, size);
-        (size, whole.model(&dictionary, start(&problem.data)))
-    });
-    let (size, model) = sizes.find(|(_, model)| is_possible(model))?;
-    let fitted_to = |rows: &[usize]| {
-        engine.search(rows, PAIRS_WITHOUT).map(|found| engine.compact(&found, rows, size))
-    };
+    let engine = Engine { dictionary: &dictionary, y: &y, is_timed, is_large: problem.is_large() };
+    let whole = engine.run(&all, PAIRS)?;
+    let model = whole.model(&dictionary, start(&problem.data));
     let parts = folds.parts();
     let count = parts.iter().max().map_or(0, |last| last + 1);
     let mut left = measured.clone();
     for part in 0..count {
         let rows: Vec<usize> = all.iter().copied().filter(|&row| parts[row] != part).collect();
-        let without = fitted_to(&rows);
+        let without = engine.run(&rows, PAIRS_WITHOUT);
         for row in (0..groups).filter(|&row| parts[row] == part) {
             left[row] -= without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
         }
     }
     let later = later_from(groups).into_iter().filter(|first| *first > 0).map(|first| {
-        let without = fitted_to(&all[..first]);
+        let without = engine.run(&all[..first], PAIRS_WITHOUT);
         let of = |row: usize| without.as_ref().map_or(0.0, |it| it.at(&dictionary, row));
         (first, (first..groups).map(|row| measured[row] - of(row)).collect())
     });
@@ -120,29 +104,9 @@ struct Engine<'e> {
     is_large: bool,
 }
 
-/// The terms that a search has found.
-enum Found {
-    /// Of few groups: in the order in which they were chosen.
-    Few(Vec<usize>),
-    /// Those of each subsample.
-    Samples(Vec<compact::Sample>),
-}
-
 impl Engine<'_> {
-    /// Returns the correction of at most `size` terms by these groups.
-    fn compact(&self, found: &Found, rows: &[usize], size: usize) -> Compact {
-        match found {
-            Found::Few(terms) => {
-                single(self.dictionary, self.y, rows, &terms[..terms.len().min(size)])
-            }
-            Found::Samples(samples) => {
-                compact(self.dictionary, self.y, rows, samples, size, self.is_large)
-            }
-        }
-    }
-
-    /// Returns the terms that these groups show, which are in order; none where none gains on left-out blocks.
-    fn search(&self, rows: &[usize], pairs: usize) -> Option<Found> {
+    /// Returns the compact correction by these groups, which are in order.
+    fn run(&self, rows: &[usize], pairs: usize) -> Option<Compact> {
         let count = rows.len();
         let forward = |rows: &[usize], blocks: &[usize], most: usize, stops: bool| {
             Forward { dictionary: self.dictionary, y: self.y, stops }.terms(rows, blocks, most)
@@ -163,7 +127,7 @@ impl Engine<'_> {
             return None;
         }
         if count < FEW {
-            return Some(Found::Few(terms));
+            return Some(single(self.dictionary, self.y, rows, &terms));
         }
         let number = blocks[count - 1] + 1;
         let kept = ((SHARE * number as f64).round() as usize).clamp(1, number - 1);
@@ -189,7 +153,7 @@ impl Engine<'_> {
             let fitted = single(self.dictionary, self.y, &of, &found);
             compact::Sample { inside: of, outside, fitted }
         });
-        Some(Found::Samples(samples))
+        Some(compact(self.dictionary, self.y, rows, &samples, self.is_large))
     }
 }
 
