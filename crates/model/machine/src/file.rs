@@ -8,6 +8,7 @@ pub(crate) mod axis;
 mod chain;
 pub(crate) mod inputs;
 mod instrument;
+pub(crate) mod key;
 pub mod keys;
 mod limits;
 mod machine;
@@ -15,6 +16,7 @@ pub(crate) mod read;
 pub(crate) mod spindle;
 pub(crate) mod straightness;
 mod structure;
+pub(crate) mod table;
 mod term;
 mod thermal_state;
 pub(crate) mod tools;
@@ -29,9 +31,9 @@ pub use axis::{
     ThermalRow,
 };
 pub use chain::Chain;
-pub use inputs::is_temperature_column;
 pub use limits::{LearnedCaps, Limits};
 pub use machine::{Kind, Machine, board_text};
+pub use read::is_temperature_column;
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};
 pub use term::{Term, in_order};
@@ -44,7 +46,10 @@ use crate::{
     bounded,
     location::{BadInput, without_byte_order_mark},
 };
+use instrument::Instrument;
 use read::{Document, Section};
+use table::Table;
+use thermal_state::ThermalState;
 use write::{Edit, NewSection};
 
 /// The longest machine file that is read, in bytes: forty times what the board could store of it.
@@ -106,10 +111,10 @@ impl MachineFile {
         let angles = faults.of(section("squareness").map(|it| straightness::read_squareness(&it)));
         let angular = faults.of(section("angular").map(|it| volume::read_angular(&it)));
         let rotary = faults.of(section("rotary").map(|it| volume::read_rotary(&it)));
-        let tool = faults.of(section("tool").map(|it| volume::read_tool(&it)));
-        let limits = faults.of(section("limits").map(|it| limits::read(&it)));
-        let cold_within_c = faults.of(section("thermal_state").map(|it| thermal_state::read(&it)));
-        let instrument_um = faults.of(section("instrument").map(|it| instrument::read(&it)));
+        let tool = faults.of(section("tool").map(|it| ToolTip::read(&it)));
+        let limits = faults.of(section("limits").map(|it| Limits::read(&it)));
+        let thermal_state = faults.of(section("thermal_state").map(|it| ThermalState::read(&it)));
+        let instrument = faults.of(section("instrument").map(|it| Instrument::read(&it)));
         let (spindle, axes) = (spindle.unwrap_or_default(), axes.unwrap_or_default());
         let read = terms().map(|section| Ok((term::read(&section)?, section)));
         let read: Vec<(Term, Section<'_>)> = read.collect::<Result<_, BadInput>>()?;
@@ -155,8 +160,8 @@ impl MachineFile {
             squareness: angles.unwrap_or_default(),
             volume,
             limits: limits.unwrap_or_default(),
-            cold_within_c: cold_within_c.unwrap_or(thermal_state::COLD_WITHIN_C),
-            instrument_um,
+            cold_within_c: thermal_state.unwrap_or_default().cold_within_c,
+            instrument_um: instrument.map(|it| it.uncertainty_um),
             terms,
             places: document.into_places(),
         })
@@ -190,11 +195,14 @@ impl Machine {
         sections.extend(self.straightness.iter().map(straightness::write_straightness));
         sections.extend(straightness::write_squareness(&self.squareness));
         sections.extend(volume::write(&self.volume));
-        sections.push(limits::write(&self.limits));
-        if self.cold_within_c != thermal_state::COLD_WITHIN_C {
-            sections.push(thermal_state::write(self.cold_within_c));
+        sections.push(self.limits.write(NewSection::new("limits")));
+        let thermal_state = ThermalState { cold_within_c: self.cold_within_c };
+        if thermal_state != ThermalState::default() {
+            sections.push(thermal_state.write(NewSection::new("thermal_state")));
         }
-        sections.extend(self.instrument_um.map(instrument::write));
+        sections.extend(self.instrument_um.map(|uncertainty_um| {
+            Instrument { uncertainty_um }.write(NewSection::new("instrument"))
+        }));
         sections
     }
 

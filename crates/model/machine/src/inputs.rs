@@ -21,6 +21,8 @@ use trueup_core::{
     units::{Code, READINGS_PER_CODE, Reading, Temperature},
 };
 
+use crate::file::table::table;
+
 /// The ADC's reference: its full scale in volts.
 pub const REFERENCE_VOLTS: f64 = 3.3;
 
@@ -108,12 +110,6 @@ pub enum CountScale {
     },
 }
 
-/// The divider of the wiring, 20.0 kΩ above 9.76 kΩ: the one of an input that states none.
-pub const WIRED_DIVIDER: f64 = 0.328;
-
-/// The full scale of a linear temperature input that states none, in volts.
-pub const USUAL_FULL_SCALE_V: f64 = 10.0;
-
 impl CountScale {
     /// Returns the codes of the board's converter for one count.
     #[must_use]
@@ -178,18 +174,18 @@ impl LinearInput {
     }
 }
 
-/// The chain from the displacement sensor's counts to the ADC.
-///
-/// The values of the machine file are positive, and its full scale after the divider is within
-/// [`REFERENCE_VOLTS`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SensorInput {
-    /// The sensor's voltage at `counts_full_scale`, in volts.
-    pub volts_full_scale: f64,
-    /// The largest count; the smallest is 0.
-    pub counts_full_scale: f64,
-    /// Volts at the ADC for one volt of the sensor.
-    pub divider: f64,
+table! {
+    /// The chain from the displacement sensor's counts to the ADC.
+    ///
+    /// The values of the machine file are positive, and its full scale after the divider is within
+    /// [`REFERENCE_VOLTS`].
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct SensorInput {
+        volts_full_scale: f64 = key(Positive, "V", "what the sensor gives at `counts_full_scale`").required().as_in("10.0");
+        /// The largest count; the smallest is 0.
+        counts_full_scale: f64 = key(Positive, "counts", "what a run file states at `volts_full_scale`: 27648 for a SIMATIC S7 input, 32768 for the paper's").required().as_in("32768");
+        divider: f64 = key(Positive, "", "volts at the board's converter for one volt of the sensor; `volts_full_scale` · `divider` must not be above 3.3 V").required().as_in("0.328");
+    }
 }
 
 impl SensorInput {

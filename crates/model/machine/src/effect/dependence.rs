@@ -22,7 +22,8 @@ use super::{
     data_view::{DataView, StartValues},
 };
 use crate::{
-    file::{axis::LinearAxis, inputs::is_temperature_column, read::Section, tools::Tools},
+    file::read::{Section, is_temperature_column},
+    file::{axis::LinearAxis, tools::Tools},
     location::BadInput,
     tool::TOOL_COLUMN,
 };

@@ -5,14 +5,14 @@ use super::{
     data_view::DataView,
 };
 use crate::{
-    file::read::Section,
-    file::{inputs::read_temperature_column, spindle::ElongationSource},
+    file::{read::Section, spindle::ElongationSource},
     location::BadInput,
 };
 
 /// Returns the column of the temperature, which must be there.
 pub(crate) fn column(section: &Section<'_>) -> Result<String, BadInput> {
-    section.required("column", read_temperature_column(section, "column")?)
+    let column = section.required("column", section.temperature_column("column")?)?;
+    Ok(column.to_string())
 }
 
 pub(crate) fn entries(heat: &Heat) -> Vec<Entry> {

@@ -9,9 +9,9 @@ use super::{
     data_view::{DataView, StartValues, spread, targets},
 };
 use crate::{
-    file::axis::read_pitch,
     file::axis::{LinearAxis, Pitch},
     file::read::Section,
+    file::table::Table,
     location::BadInput,
     model::pitch::is_reverse,
 };
@@ -116,7 +116,7 @@ impl Definition for PitchError {
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         // The table's keys are those of [axis.x.pitch], next to the common ones.
-        Ok(Self(read_pitch(section)?))
+        Ok(Self(Pitch::read(section)?))
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

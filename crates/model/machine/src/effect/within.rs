@@ -14,7 +14,10 @@ use super::{
     law::Columns,
 };
 use crate::{
-    file::{axis::LinearAxis, inputs::is_temperature_column, read::Section},
+    file::{
+        axis::LinearAxis,
+        read::{Section, is_temperature_column},
+    },
     location::BadInput,
 };
 

@@ -5,19 +5,92 @@ use std::collections::BTreeMap;
 use trueup_core::calibration::Mains;
 
 use super::{
+    key::{
+        Form::{Boolean, Whole},
+        Key, key, section,
+    },
     read::Section,
-    write::section::{NewSection, Value},
+    table::{Table, choice, on_one_line, table, value, written},
+    write::section::NewSection,
 };
 use crate::{
     inputs::{
         ConditionInput, CountScale, Inputs, LAST_CHANNEL, LinearInput, RATES_C_PER_MIN,
-        REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind, USUAL_FULL_SCALE_V,
-        WIRED_DIVIDER,
+        REFERENCE_VOLTS, SensorInput, TemperatureInput, TemperatureKind,
     },
-    location::{BadInput, shortened},
+    location::BadInput,
     run_file::is_known_column,
     tool::TOOL_COLUMN,
 };
+
+pub(super) const INPUTS: &[Key] = &[
+    SERVICE_SWITCH,
+    MAINS,
+    section("sensor", SensorInput::KEYS, "how the displacement sensor reaches the board"),
+    section(
+        "temp_<name>_c",
+        Thermometer::KEYS,
+        "how the thermometer of that column reaches the board; at most eight",
+    ),
+    section(
+        "<condition>",
+        Condition::KEYS,
+        "a column of a run with 0 and 1, as `coolant_on`, that the CNC sends; known by `kind`",
+    ),
+];
+
+const SERVICE_SWITCH: Key = key("service_switch", Boolean, "", "nothing is written to the board (calibration, reference, settings) unless the switch on its pin PB7 is closed to ground; it holds from this calibration's first start on, also against the next one")
+    .or("false")
+    .quiet();
+
+const MAINS: Key = key(
+    "mains_hz",
+    Whole(50, 60),
+    "Hz",
+    "the mains, 50 or 60, whose hum the PT100 converters and the linear inputs suppress",
+)
+.or("50")
+.quiet();
+
+table! {
+    /// The keys of a thermometer.
+    #[derive(Default)]
+    struct Thermometer {
+        channel: u8 = key(Whole(0, LAST_CHANNEL as u32), "", "the number of its converter on the board; no two share one").required().as_in("0");
+        kind: ThermometerKind = key(Choice(ThermometerKind::NAMES), "", "a PT100 by IEC 60751, or a line").required().as_in("\"pt100\"");
+        zero_v: Option<f64> = key(Number, "V", "of a line: the voltage at 0 °C, by the line's own slope also where the transmitter does not reach it; with `c_per_v`, or `zero_counts` and `counts_per_c`").as_in("0.0");
+        c_per_v: Option<f64> = key(Number, "K/V", "of a line: kelvin for one volt at the input; not 0").as_in("10.0");
+        zero_counts: Option<f64> = key(Number, "counts", "of a line in counts: the counts at 0 °C, in the place of `zero_v`").as_in("4000");
+        counts_per_c: Option<f64> = key(Number, "counts/K", "of a line in counts: counts for one kelvin, not 0; in the place of `c_per_v`").as_in("16");
+        counts_full_scale: Option<f64> = key(Positive, "counts", "of a line in counts: what the other converter gives at `full_scale_v` (27648 for a SIMATIC S7 input, 32768 for the paper's). Without it a count is a code of the board: 4096 at 3.3 V on the pin").as_in("27648");
+        full_scale_v: Option<f64> = key(Positive, "V", "of a line: the largest voltage of the input").or("10.0");
+        divider: Option<f64> = key(Positive, "", "of a line: volts at the board's converter for one volt at the input; `full_scale_v` · `divider` must not be above 3.3 V").or("0.328");
+        max_c_per_min: Option<f64> = key(Positive, "K/min", "the fastest change that the mass at the thermometer can make, from 0.1 to 600; a faster reading is not believed until it has stayed within it for 60 s. Without it 10 where a law uses the thermometer; coolant, oil and air need more").as_in("60.0");
+    }
+}
+
+choice! {
+    /// The kind of a thermometer.
+    #[derive(Clone, Copy, Default)]
+    enum ThermometerKind {
+        /// By IEC 60751.
+        #[default]
+        Pt100 = "pt100",
+        /// A line.
+        Linear = "linear",
+    }
+}
+
+table! {
+    /// A condition.
+    struct Condition {
+        kind: String = key(Choice(&[CONDITION]), "", "a condition of the machine that holds (1) or not (0), from the CNC").required().as_in("\"condition\"");
+        bit: u8 = key(Whole(0, 15), "", "its bit in `Conditions`; no two share one").required().as_in("0");
+        default: bool = key(Whole(0, 1), "", "what counts while the CNC does not send it").or("0").quiet();
+    }
+}
+
+const CONDITION: &str = "condition";
 
 pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
     let mut inputs = Inputs::default();
@@ -26,13 +99,13 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
         if key == "sensor" {
             inputs.sensor =
                 section.section(key)?.map(|sensor| read_sensor_input(&sensor)).transpose()?;
-        } else if key == "service_switch" {
-            inputs.service_switch = section.boolean(key)?.unwrap_or_default();
-        } else if key == "mains_hz" {
-            inputs.mains = match section.whole(key, 50, 60)? {
-                None | Some(50) => Mains::Hz50,
-                Some(60) => Mains::Hz60,
-                Some(hz) => return Err(section.bad(key, format!("must be 50 or 60, not {hz}"))),
+        } else if key == SERVICE_SWITCH.name {
+            inputs.service_switch = value(section, &SERVICE_SWITCH)?;
+        } else if key == MAINS.name {
+            inputs.mains = match value::<u32>(section, &MAINS)? {
+                50 => Mains::Hz50,
+                60 => Mains::Hz60,
+                hz => return Err(section.bad(key, format!("must be 50 or 60, not {hz}"))),
             };
         } else if let Some(condition) = section.section(key)?.filter(is_condition) {
             let input = read_condition(&condition, key)?;
@@ -56,7 +129,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Inputs, BadInput> {
 
 /// Returns whether an input says that it is a condition.
 pub(super) fn is_condition(section: &Section<'_>) -> bool {
-    section.text("kind").ok().flatten() == Some("condition")
+    section.text("kind").ok().flatten() == Some(CONDITION)
 }
 
 fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, BadInput> {
@@ -64,68 +137,37 @@ fn read_condition(section: &Section<'_>, name: &str) -> Result<ConditionInput, B
         return Err(section
             .bad("kind", format!("cannot be \"condition\": a column {name} is something else")));
     }
-    let bit = section.required("bit", section.whole("bit", 0, 15)?)?;
-    let bit = u8::try_from(bit).expect("held to the range of u8 above");
-    Ok(ConditionInput { bit, default: section.whole("default", 0, 1)?.unwrap_or(0) != 0 })
-}
-
-/// Returns the run-file column of a temperature, which `key` names.
-pub(crate) fn read_temperature_column(
-    section: &Section<'_>,
-    key: &str,
-) -> Result<Option<String>, BadInput> {
-    match section.text(key)? {
-        Some(column) if !is_temperature_column(column) => {
-            let rule = format!("must name a column temp_<name>_c, not \"{}\"", shortened(column));
-            Err(section.bad(key, rule))
-        }
-        column => Ok(column.map(str::to_string)),
-    }
-}
-
-/// Returns whether a run-file column of this name is a temperature: `temp_<name>_c`.
-#[must_use]
-pub fn is_temperature_column(name: &str) -> bool {
-    name.strip_prefix("temp_")
-        .and_then(|rest| rest.strip_suffix("_c"))
-        .is_some_and(|inner| !inner.is_empty())
+    let Condition { bit, default, .. } = Condition::read(section)?;
+    Ok(ConditionInput { bit, default })
 }
 
 fn read_sensor_input(section: &Section<'_>) -> Result<SensorInput, BadInput> {
-    let positive = |key| section.required(key, section.positive(key)?);
-    let sensor = SensorInput {
-        volts_full_scale: positive("volts_full_scale")?,
-        counts_full_scale: positive("counts_full_scale")?,
-        divider: positive("divider")?,
-    };
+    let sensor = SensorInput::read(section)?;
     refuse_above_reference(section, "divider", sensor.volts_full_scale, sensor.divider)?;
     Ok(sensor)
 }
 
 fn read_temperature_input(section: &Section<'_>) -> Result<TemperatureInput, BadInput> {
-    let channel = section.required("channel", section.whole("channel", 0, LAST_CHANNEL.into())?)?;
-    let channel = u8::try_from(channel).expect("held to the range of u8 above");
-    let is_linear = [("pt100", false), ("linear", true)];
-    let kind = if section.required("kind", section.choice("kind", &is_linear)?)? {
-        TemperatureKind::Linear(read_linear(section)?)
-    } else {
-        for key in IN_VOLTS.iter().chain(&IN_COUNTS).chain(&OF_SCALE) {
-            if section.number(key)?.is_some() {
+    let keys = Thermometer::read(section)?;
+    let kind = match keys.kind {
+        ThermometerKind::Linear => TemperatureKind::Linear(read_linear(section, &keys)?),
+        ThermometerKind::Pt100 => {
+            let of_line = IN_VOLTS.iter().chain(&IN_COUNTS).chain(&OF_SCALE);
+            if let Some(key) = section.first_of(of_line) {
                 return Err(section.bad(key, "belongs to kind = \"linear\""));
             }
+            TemperatureKind::Pt100
         }
-        TemperatureKind::Pt100
     };
-    let max_c_per_min = section.number("max_c_per_min")?;
     let [slowest, fastest] = RATES_C_PER_MIN;
-    if let Some(rate) = max_c_per_min.filter(|rate| !(slowest..=fastest).contains(rate)) {
+    if let Some(rate) = keys.max_c_per_min.filter(|rate| !(slowest..=fastest).contains(rate)) {
         let rule = format!(
             "must be from {slowest} to {fastest} K/min: the fastest change that the \
              thermometer's mass can make, not {rate}"
         );
         return Err(section.bad("max_c_per_min", rule));
     }
-    Ok(TemperatureInput { channel, kind, max_c_per_min })
+    Ok(TemperatureInput { channel: keys.channel, kind, max_c_per_min: keys.max_c_per_min })
 }
 
 const IN_VOLTS: [&str; 2] = ["zero_v", "c_per_v"];
@@ -133,20 +175,12 @@ const IN_COUNTS: [&str; 3] = ["zero_counts", "counts_per_c", "counts_full_scale"
 const OF_SCALE: [&str; 2] = ["full_scale_v", "divider"];
 
 /// Reads a line in one of its two forms: volts and °C, or counts with what a count is.
-fn read_linear(section: &Section<'_>) -> Result<LinearInput, BadInput> {
-    let not_zero = |key| match section.required(key, section.number(key)?)? {
+fn read_linear(section: &Section<'_>, keys: &Thermometer) -> Result<LinearInput, BadInput> {
+    let not_zero = |key, value| match section.required(key, value)? {
         0.0 => Err(section.bad(key, "must not be 0")),
         value => Ok(value),
     };
-    let stated = |keys: &[&'static str]| -> Result<Option<&'static str>, BadInput> {
-        for key in keys {
-            if section.number(key)?.is_some() {
-                return Ok(Some(key));
-            }
-        }
-        Ok(None)
-    };
-    let (volts, counts) = (stated(&IN_VOLTS)?, stated(&IN_COUNTS)?);
+    let (volts, counts) = (section.first_of(&IN_VOLTS), section.first_of(&IN_COUNTS));
     if let (Some(volts), Some(counts)) = (volts, counts) {
         let rule = format!(
             "stands together with {counts}: state the line in volts (zero_v, c_per_v) or in counts (zero_counts, \
@@ -160,19 +194,19 @@ fn read_linear(section: &Section<'_>) -> Result<LinearInput, BadInput> {
         return Err(section.bad("zero_v", rule));
     }
     if volts.is_some() {
-        let zero_counts = section.required("zero_v", section.number("zero_v")?)?;
-        let counts_per_c = 1.0 / not_zero("c_per_v")?;
-        let (full_scale_v, divider) = read_scale(section)?;
+        let zero_counts = section.required("zero_v", keys.zero_v)?;
+        let counts_per_c = 1.0 / not_zero("c_per_v", keys.c_per_v)?;
+        let (full_scale_v, divider) = scale(section, keys)?;
         let scale = CountScale::Volt { full_scale_v, divider };
         return Ok(LinearInput { zero_counts, counts_per_c, scale });
     }
-    let zero_counts = section.required("zero_counts", section.number("zero_counts")?)?;
-    let counts_per_c = not_zero("counts_per_c")?;
-    let scale = if let Some(counts_full_scale) = section.positive("counts_full_scale")? {
-        let (full_scale_v, divider) = read_scale(section)?;
+    let zero_counts = section.required("zero_counts", keys.zero_counts)?;
+    let counts_per_c = not_zero("counts_per_c", keys.counts_per_c)?;
+    let scale = if let Some(counts_full_scale) = keys.counts_full_scale {
+        let (full_scale_v, divider) = scale(section, keys)?;
         CountScale::Count { counts_full_scale, full_scale_v, divider }
     } else {
-        if let Some(key) = stated(&OF_SCALE)? {
+        if let Some(key) = section.first_of(&OF_SCALE) {
             let rule = "needs counts_full_scale: without it a count is a code of the board, 4096 at 3.3 V on the pin";
             return Err(section.bad(key, rule));
         }
@@ -181,11 +215,11 @@ fn read_linear(section: &Section<'_>) -> Result<LinearInput, BadInput> {
     Ok(LinearInput { zero_counts, counts_per_c, scale })
 }
 
-/// Reads the full scale of a linear input in volts, and its divider.
-fn read_scale(section: &Section<'_>) -> Result<(f64, f64), BadInput> {
-    let full_scale_v = section.positive("full_scale_v")?.unwrap_or(USUAL_FULL_SCALE_V);
-    let divider = section.positive("divider")?.unwrap_or(WIRED_DIVIDER);
-    let key = if section.number("divider")?.is_some() { "divider" } else { "full_scale_v" };
+/// Returns the full scale of a linear input in volts, and its divider.
+fn scale(section: &Section<'_>, keys: &Thermometer) -> Result<(f64, f64), BadInput> {
+    let full_scale_v = section.required("full_scale_v", keys.full_scale_v)?;
+    let divider = section.required("divider", keys.divider)?;
+    let key = section.first_of(&["divider"]).unwrap_or("full_scale_v");
     refuse_above_reference(section, key, full_scale_v, divider)?;
     Ok((full_scale_v, divider))
 }
@@ -215,61 +249,48 @@ fn refuse_above_reference(
 }
 
 pub(super) fn write(inputs: &Inputs) -> NewSection {
-    let number = |key: &str, value| (key.to_string(), Value::Number(value));
     let mut section = NewSection::new("inputs");
-    if inputs.service_switch {
-        section = section.with("service_switch", Value::Boolean(true));
+    section = written(section, &SERVICE_SWITCH, &inputs.service_switch);
+    let mains_hz: u32 = if inputs.mains == Mains::Hz60 { 60 } else { 50 };
+    section = written(section, &MAINS, &mains_hz);
+    if let Some(sensor) = inputs.sensor {
+        section = section.with("sensor", on_one_line(&sensor));
     }
-    if inputs.mains == Mains::Hz60 {
-        section = section.with("mains_hz", Value::Whole(60));
-    }
-    if let Some(SensorInput { volts_full_scale, counts_full_scale, divider }) = inputs.sensor {
-        let entries = vec![
-            number("volts_full_scale", volts_full_scale),
-            number("counts_full_scale", counts_full_scale),
-            number("divider", divider),
-        ];
-        section = section.with("sensor", Value::Inline(entries));
-    }
-    for (column, TemperatureInput { channel, kind, max_c_per_min }) in &inputs.temperatures {
-        let kind_name = match kind {
-            TemperatureKind::Pt100 => "pt100",
-            TemperatureKind::Linear(_) => "linear",
-        };
-        let mut entries = vec![
-            ("channel".to_string(), Value::Whole((*channel).into())),
-            ("kind".to_string(), Value::Text(kind_name.into())),
-        ];
-        if let TemperatureKind::Linear(LinearInput { zero_counts, counts_per_c, scale }) = *kind {
-            if let CountScale::Volt { .. } = scale {
-                entries.push(number("zero_v", zero_counts));
-                entries.push(number("c_per_v", 1.0 / counts_per_c));
-            } else {
-                entries.push(number("zero_counts", zero_counts));
-                entries.push(number("counts_per_c", counts_per_c));
-            }
-            if let CountScale::Count { counts_full_scale, .. } = scale {
-                entries.push(number("counts_full_scale", counts_full_scale));
-            }
-            if let CountScale::Volt { full_scale_v, divider }
-            | CountScale::Count { full_scale_v, divider, .. } = scale
-            {
-                entries.push(number("full_scale_v", full_scale_v));
-                entries.push(number("divider", divider));
-            }
-        }
-        entries.extend(max_c_per_min.map(|rate| number("max_c_per_min", rate)));
-        section = section.with(column, Value::Inline(entries));
+    for (column, input) in &inputs.temperatures {
+        section = section.with(column, on_one_line(&thermometer(input)));
     }
     for (column, ConditionInput { bit, default }) in &inputs.conditions {
-        let mut entries = vec![
-            ("kind".to_string(), Value::Text("condition".into())),
-            ("bit".to_string(), Value::Whole((*bit).into())),
-        ];
-        if *default {
-            entries.push(("default".to_string(), Value::Whole(1)));
-        }
-        section = section.with(column, Value::Inline(entries));
+        let condition = Condition { kind: CONDITION.into(), bit: *bit, default: *default };
+        section = section.with(column, on_one_line(&condition));
     }
     section
+}
+
+/// Returns the keys of a temperature input.
+fn thermometer(input: &TemperatureInput) -> Thermometer {
+    let TemperatureInput { channel, kind, max_c_per_min } = *input;
+    let pt100 = Thermometer { channel, max_c_per_min, ..Thermometer::default() };
+    let TemperatureKind::Linear(LinearInput { zero_counts, counts_per_c, scale }) = kind else {
+        return pt100;
+    };
+    let line = Thermometer { kind: ThermometerKind::Linear, ..pt100 };
+    let (zero, per_c) = (Some(zero_counts), Some(counts_per_c));
+    match scale {
+        CountScale::Volt { full_scale_v, divider } => Thermometer {
+            zero_v: zero,
+            c_per_v: Some(1.0 / counts_per_c),
+            full_scale_v: Some(full_scale_v),
+            divider: Some(divider),
+            ..line
+        },
+        CountScale::Count { counts_full_scale, full_scale_v, divider } => Thermometer {
+            zero_counts: zero,
+            counts_per_c: per_c,
+            counts_full_scale: Some(counts_full_scale),
+            full_scale_v: Some(full_scale_v),
+            divider: Some(divider),
+            ..line
+        },
+        CountScale::Code => Thermometer { zero_counts: zero, counts_per_c: per_c, ..line },
+    }
 }

@@ -1,13 +1,10 @@
 //! `[instrument]`: what the machine is measured with.
 
-use super::{read::Section, write::section::NewSection};
-use crate::location::BadInput;
+use super::table::table;
 
-/// Returns the expanded uncertainty of one reading in µm (95 %), above 0.
-pub(super) fn read(section: &Section<'_>) -> Result<f64, BadInput> {
-    section.required("uncertainty_um", section.positive("uncertainty_um")?)
-}
-
-pub(super) fn write(uncertainty_um: f64) -> NewSection {
-    NewSection::new("instrument").number("uncertainty_um", uncertainty_um)
+table! {
+    /// The properties of the measuring instrument.
+    pub(super) struct Instrument {
+        uncertainty_um: f64 = key(Positive, "µm", "what the measuring instrument is worth, 95 %; for `trueup diagnose`").required().as_in("0.5");
+    }
 }

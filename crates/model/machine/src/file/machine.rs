@@ -4,7 +4,8 @@ use super::{
     AxisModel, Limits, RotaryAxis, Spindle, Squareness, Straightness, Term, Volume,
     chain::Chain,
     read::Section,
-    write::section::{NewSection, Value},
+    table::{Table, choice, table},
+    write::section::NewSection,
 };
 use crate::{
     inputs::Inputs,
@@ -52,39 +53,25 @@ pub struct Machine {
     pub places: Locations,
 }
 
-/// Which axes turn the tool or the table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// X, Y and Z only: the tool direction never changes.
-    ThreeAxis,
-    /// Two rotary axes carry the spindle.
-    HeadHead,
-    /// Two rotary axes carry the workpiece: the spindle does not turn in machine coordinates.
-    TableTable,
-    /// One rotary axis carries the spindle, the other the workpiece.
-    HeadTable,
-    /// A lathe: the spindle carries the workpiece, the turret moves in X (a radius) and Z. Its tool direction is the way in
-    /// which the turret reaches for the chuck.
-    Lathe,
+choice! {
+    /// Which axes turn the tool or the table.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Kind {
+        /// X, Y and Z only: the tool direction never changes.
+        ThreeAxis = "3-axis",
+        /// Two rotary axes carry the spindle.
+        HeadHead = "head-head",
+        /// Two rotary axes carry the workpiece: the spindle does not turn in machine coordinates.
+        TableTable = "table-table",
+        /// One rotary axis carries the spindle, the other the workpiece.
+        HeadTable = "head-table",
+        /// A lathe: the spindle carries the workpiece, the turret moves in X (a radius) and Z. Its tool direction is
+        /// the way in which the turret reaches for the chuck.
+        Lathe = "lathe",
+    }
 }
 
 impl Kind {
-    /// All of them.
-    pub const ALL: [Self; 5] =
-        [Self::ThreeAxis, Self::HeadHead, Self::TableTable, Self::HeadTable, Self::Lathe];
-
-    /// Its name in the machine file.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::ThreeAxis => "3-axis",
-            Self::HeadHead => "head-head",
-            Self::TableTable => "table-table",
-            Self::HeadTable => "head-table",
-            Self::Lathe => "lathe",
-        }
-    }
-
     /// Returns how many rotary axes carry the spindle.
     #[must_use]
     pub fn head_axes(self) -> usize {
@@ -93,6 +80,19 @@ impl Kind {
             Self::HeadTable => 1,
             Self::HeadHead => 2,
         }
+    }
+}
+
+table! {
+    /// The keys of `[machine]` as they are written.
+    pub(super) struct Keys {
+        name: String = key(Text, "", "the machine's name; a board asks before it runs the calibration of a machine with another one").required().as_in("\"mill\"");
+        serial: Option<String> = key(Text, "", "its serial number, which tells it from another one of that name").as_in("\"4711\"");
+        board: Option<String> = key(Text, "", "the board that the calibration is for: the 24 hexadecimal digits of its chip's number, as `trueup bridge info` prints them").as_in("\"003b00213032470e39363634\"");
+        kind: Kind = key(Choice(Kind::NAMES), "", "which rotary axes carry the tool (head) and which the workpiece (table); of a lathe the spindle carries the workpiece, and X is a radius").required().as_in("\"3-axis\"");
+        head_axes: Vec<String> = key(Choices(RotaryAxis::NAMES), "", "the rotary axes that carry the spindle, from the frame to the tool: two for head-head, one for head-table").or("[]").quiet();
+        tool_direction: [f64; 3] = key(Vector, "", "from the spindle nose to the tip with all angles at zero, of a lathe from the turret to the chuck; of any length but 0").or("[0.0, 0.0, -1.0]");
+        chain: Option<String> = key(Text, "", "which axis carries what, in the letters of ISO 10791-6: from the workpiece (w) over the bed (b) to the tool (t), with ' what moves the workpiece; X, Y and Z once each, next to the bed, the rotary axes of `head_axes` before t. Needed by `[angular]` and `[rotary]`").as_in("\"w X' b Y Z t\"");
     }
 }
 
@@ -108,36 +108,28 @@ pub(super) struct Identity {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Identity, BadInput> {
-    let name = section.required("name", section.text("name")?)?;
-    let serial = section.text("serial")?;
-    for (key, text) in [("name", Some(name)), ("serial", serial)] {
+    let Keys { name, serial, board, kind, head_axes, tool_direction, chain } = Keys::read(section)?;
+    for (key, text) in [("name", Some(&name)), ("serial", serial.as_ref())] {
         if text.is_some_and(|text| text.trim().is_empty()) {
             return Err(section.bad(key, "must not be empty"));
         }
     }
-    let board = match section.text("board")? {
-        Some(written) => Some(read_board(written).ok_or_else(|| {
-            let rule = "must be the 24 hexadecimal digits of the board's chip, as `bridge info` prints them";
-            section.bad("board", rule)
-        })?),
-        None => None,
+    let chip = |written: String| {
+        let rule =
+            "must be the 24 hexadecimal digits of the board's chip, as `bridge info` prints them";
+        read_board(&written).ok_or_else(|| section.bad("board", rule))
     };
-    let kinds = Kind::ALL.map(|kind| (kind.name(), kind));
-    let kind = section.required("kind", section.choice("kind", &kinds)?)?;
-    let head_axes = read_head_axes(section, kind)?;
-    let tool_direction = match section.vector("tool_direction")? {
-        Some(written) => normalised(written).ok_or_else(|| {
-            section.bad("tool_direction", "has no length: it must point from the nose to the tip")
-        })?,
-        None => [0.0, 0.0, -1.0],
-    };
-    let chain = section.text("chain")?.map(|written| {
-        let chain = Chain::parse(written)?;
+    let board = board.map(chip).transpose()?;
+    let head_axes = read_head_axes(section, kind, &head_axes)?;
+    let tool_direction = normalised(tool_direction).ok_or_else(|| {
+        section.bad("tool_direction", "has no length: it must point from the nose to the tip")
+    })?;
+    let chain = chain.map(|written| {
+        let chain = Chain::parse(&written)?;
         check_chain(&chain, kind, &head_axes).map(|()| chain)
     });
     let chain =
         chain.transpose().map_err(|rule| section.bad("chain", rule).with_help(CHAIN_HELP))?;
-    let (name, serial) = (name.to_string(), serial.map(str::to_string));
     Ok(Identity { name, serial, board, kind, head_axes, tool_direction, chain })
 }
 
@@ -157,9 +149,13 @@ pub fn board_text([low, middle, high]: [u32; 3]) -> String {
     format!("{high:08x}{middle:08x}{low:08x}")
 }
 
-fn read_head_axes(section: &Section<'_>, kind: Kind) -> Result<Vec<RotaryAxis>, BadInput> {
+fn read_head_axes(
+    section: &Section<'_>,
+    kind: Kind,
+    names: &[String],
+) -> Result<Vec<RotaryAxis>, BadInput> {
     let mut axes = Vec::new();
-    for (index, name) in section.texts("head_axes")?.unwrap_or_default().into_iter().enumerate() {
+    for (index, name) in names.iter().enumerate() {
         let axis =
             RotaryAxis::ALL.into_iter().find(|axis| axis.name() == name).ok_or_else(|| {
                 let rule = format!("must be \"a\" or \"b\" or \"c\", not \"{}\"", shortened(name));
@@ -234,22 +230,16 @@ fn normalised(vector: [f64; 3]) -> Option<[f64; 3]> {
 }
 
 pub(super) fn write(machine: &Machine) -> NewSection {
-    let mut section = NewSection::new("machine").text("name", &machine.name);
-    if let Some(serial) = &machine.serial {
-        section = section.text("serial", serial);
-    }
-    if let Some(board) = machine.board {
-        section = section.text("board", board_text(board));
-    }
-    section = section.text("kind", machine.kind.name());
-    if !machine.head_axes.is_empty() {
-        let names = machine.head_axes.iter().map(|axis| axis.name().to_string());
-        section = section.with("head_axes", Value::Texts(names.collect()));
-    }
-    if let Some(chain) = &machine.volume.chain {
-        section = section.text("chain", chain.to_string());
-    }
-    section.numbers("tool_direction", machine.tool_direction)
+    let keys = Keys {
+        name: machine.name.clone(),
+        serial: machine.serial.clone(),
+        board: machine.board.map(board_text),
+        kind: machine.kind,
+        head_axes: machine.head_axes.iter().map(|axis| axis.name().to_string()).collect(),
+        tool_direction: machine.tool_direction,
+        chain: machine.volume.chain.as_ref().map(Chain::to_string),
+    };
+    keys.write(NewSection::new("machine")).last("tool_direction")
 }
 
 impl Machine {

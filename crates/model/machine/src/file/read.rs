@@ -120,6 +120,14 @@ fn dotted(section: &str, key: &str) -> String {
     if section.is_empty() { key.to_string() } else { format!("{section}.{key}") }
 }
 
+/// Returns whether a run-file column of this name is a temperature: `temp_<name>_c`.
+#[must_use]
+pub fn is_temperature_column(name: &str) -> bool {
+    name.strip_prefix("temp_")
+        .and_then(|rest| rest.strip_suffix("_c"))
+        .is_some_and(|inner| !inner.is_empty())
+}
+
 /// One table of the file.
 pub(crate) struct Section<'d> {
     document: &'d Document<'d>,
@@ -161,6 +169,14 @@ impl<'d> Section<'d> {
         let in_order: BTreeSet<(usize, &str)> =
             self.table.keys().map(|key| (key.span().start, key.get_ref().as_ref())).collect();
         in_order.into_iter().map(|(_, key)| key).collect()
+    }
+
+    /// Returns the first of `keys` that is there.
+    pub(crate) fn first_of<'k>(
+        &self,
+        keys: impl IntoIterator<Item = &'k &'k str>,
+    ) -> Option<&'k str> {
+        keys.into_iter().copied().find(|key| self.table.get(*key).is_some())
     }
 
     /// Where `key` stands, or would.
@@ -251,6 +267,18 @@ impl<'d> Section<'d> {
         let suggestion = did_you_mean(text, names());
         let rule = format!("must be {listed}, not \"{}\"{suggestion}", shortened(text));
         Err(self.bad(key, rule))
+    }
+
+    /// Returns the name of a temperature column `key`.
+    pub(crate) fn temperature_column(&self, key: &str) -> Result<Option<&'d str>, BadInput> {
+        match self.text(key)? {
+            Some(column) if !is_temperature_column(column) => {
+                let rule =
+                    format!("must name a column temp_<name>_c, not \"{}\"", shortened(column));
+                Err(self.bad(key, rule))
+            }
+            column => Ok(column),
+        }
     }
 
     /// Returns the number `key`, written as integer or float; never infinite or NaN.

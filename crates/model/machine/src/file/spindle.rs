@@ -3,8 +3,9 @@
 //! A model that is not the source is kept: it is what the board falls back to.
 
 use super::{
-    inputs::read_temperature_column,
+    key::{Form, Key, key, section},
     read::Section,
+    table::{KeyValue, Table, choice, table},
     tools::{self, Tools},
     write::section::NewSection,
 };
@@ -25,26 +26,39 @@ pub struct Spindle {
     pub tools: Option<Tools>,
 }
 
-/// Where the elongation comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ElongationSource {
-    /// The displacement sensor, in counts.
-    Sensor,
-    /// The warm-up model, over the time in s that the spindle has run.
-    Warmup,
-    /// A temperature in °C, behind a first-order lag.
-    Temperature,
-}
+pub(super) const SPINDLE: &[Key] = &[
+    SOURCE,
+    section(
+        "sensor",
+        SensorKeys::KEYS,
+        "growth by a displacement sensor: `k0_um` + (reading − zero) · slope",
+    ),
+    section("warmup", Warmup::KEYS, "growth over the time that the spindle has run"),
+    section(
+        "temperature",
+        TemperatureModel::KEYS,
+        "growth by a temperature: `k_um_per_c` · (T − `reference_c`)",
+    ),
+    section(
+        "tools",
+        tools::TOOLS,
+        "growth with speed by tool, added to the model in use: `um_per_krpm2` · (n/1000)²",
+    ),
+];
 
-impl ElongationSource {
-    /// Its name in the machine file, which is also that of its section under `[spindle]`.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Sensor => "sensor",
-            Self::Warmup => "warmup",
-            Self::Temperature => "temperature",
-        }
+const SOURCE: Key = key("source", Form::Choice(ElongationSource::NAMES), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
+    .as_in("\"sensor\"");
+
+choice! {
+    /// Where the elongation comes from. Its name is also that of its section under `[spindle]`.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum ElongationSource {
+        /// The displacement sensor, in counts.
+        Sensor = "sensor",
+        /// The warm-up model, over the time in s that the spindle has run.
+        Warmup = "warmup",
+        /// A temperature in °C, behind a first-order lag.
+        Temperature = "temperature",
     }
 }
 
@@ -61,25 +75,38 @@ pub struct SensorModel {
     pub temperature: Option<String>,
 }
 
-/// The warm-up model of a spindle without a sensor, identified from one run from cold.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Warmup {
-    /// t₁: so long after the start no heat has reached the spindle, in s; at least 0.
-    pub lag_s: f64,
-    /// t₂: the spindle is warm, in s after the start; above `lag_s`.
-    pub warm_s: f64,
-    /// Smax: the growth of the warm spindle, in µm.
-    pub max_um: f64,
-    /// k: the larger, the faster it rises at first; above 0.
-    pub exponent: f64,
-    /// The time constant with which it cools, in s, above 0; `None`: the one of heating,
-    /// [`Self::time_constant_s`].
-    pub cool_s: Option<f64>,
-    /// The speed at which `max_um` was recorded, in r/min, above 0; always there if
-    /// `speed_exponent` is not 0.
-    pub rated_rpm: Option<f64>,
-    /// p: the heat goes with (n/n_rated)^p; at 0 any speed heats fully. At least 0.
-    pub speed_exponent: f64,
+table! {
+    /// The sensor's law as it is written: in counts, or in volts.
+    struct SensorKeys {
+        k0_um: f64 = key(Number, "µm", "the growth at the zero reading").required().as_in("0.0");
+        zero_counts: Option<f64> = key(Number, "counts", "the reading when the machine is cold; or `zero_v`").as_in("5048.0");
+        um_per_count: Option<f64> = key(Number, "µm", "growth for one count, not 0; or `um_per_v`").as_in("0.0152587890625");
+        zero_v: Option<f64> = key(Number, "V", "the reading when the machine is cold, as a voltmeter shows it, in the place of `zero_counts`; needs `[inputs] sensor`").as_in("1.54");
+        um_per_v: Option<f64> = key(Number, "µm/V", "growth for one volt, as the sensor's data sheet says it, in the place of `um_per_count`; needs `[inputs] sensor`").as_in("50.0");
+        temperature: Option<String> = key(Column, "", "the column with the sensor's own temperature").as_in("\"temp_coil_c\"");
+    }
+}
+
+table! {
+    /// The warm-up model of a spindle without a sensor, identified from one run from cold.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Warmup {
+        /// t₁.
+        lag_s: f64 = key(NotNegative, "s", "from the start of the spindle until growth begins").required().as_in("60.0");
+        /// t₂.
+        warm_s: f64 = key(Positive, "s", "from the start until it ends; above `lag_s`").required().as_in("5400.0");
+        /// Smax.
+        max_um: f64 = key(Number, "µm", "the growth in the end").required().as_in("80.0");
+        /// k.
+        exponent: f64 = key(Positive, "", "how fast it rises; larger is faster at first").required().as_in("4.0");
+        /// `None`: the time constant of heating, [`Self::time_constant_s`].
+        cool_s: Option<f64> = key(Positive, "s", "time constant while the spindle stands; without it (`warm_s` − `lag_s`)/`exponent`").as_in("1335.0");
+        /// Always there if `speed_exponent` is not 0.
+        rated_rpm: Option<f64> = key(Positive, "r/min", "the speed at which `max_um` was recorded").as_in("24000.0");
+        /// p: the heat goes with (n/n_rated)^p.
+        speed_exponent: f64 = key(NotNegative, "", "growth goes with (n/`rated_rpm`) to this; 0: any speed heats fully").or("0.0");
+    }
+    checked by is_consistent
 }
 
 impl Warmup {
@@ -96,31 +123,30 @@ impl Warmup {
     }
 }
 
-/// The growth over a temperature: k·(T − T₀), T behind its sensor by a lag.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TemperatureModel {
-    /// The run-file column of T, `temp_<name>_c`.
-    pub sensor: String,
-    /// T₀: the temperature at which the growth is 0, in °C.
-    pub reference_c: f64,
-    /// k in µm for one °C.
-    pub k_um_per_c: f64,
-    /// The time constant of the first-order lag, in s; 0: none.
-    pub lag_s: f64,
+table! {
+    /// The growth over a temperature: k·(T − T₀), T behind its sensor by a lag.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct TemperatureModel {
+        /// The run-file column of T, `temp_<name>_c`.
+        sensor: String = key(Column, "", "the column of the temperature").required().as_in("\"temp_front_c\"");
+        /// T₀.
+        reference_c: f64 = key(Number, "°C", "the temperature at which nothing has grown").required().as_in("20.0");
+        /// k.
+        k_um_per_c: f64 = key(Number, "µm/K", "growth for one kelvin").required().as_in("2.0");
+        /// 0: no lag.
+        lag_s: f64 = key(NotNegative, "s", "time constant by which growth follows the temperature").or("0.0");
+    }
 }
 
 /// Returns the section; `input` is what `[inputs]` says of the displacement sensor.
 pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
-    let sources =
-        [ElongationSource::Sensor, ElongationSource::Warmup, ElongationSource::Temperature]
-            .map(|source| (source.name(), source));
     let spindle = Spindle {
-        source: section.choice("source", &sources)?,
+        source: ElongationSource::at(section, &SOURCE)?,
         sensor: section.section("sensor")?.map(|model| read_sensor(&model, input)).transpose()?,
-        warmup: section.section("warmup")?.map(|model| read_warmup(&model)).transpose()?,
+        warmup: section.section("warmup")?.map(|model| Warmup::read(&model)).transpose()?,
         temperature: section
             .section("temperature")?
-            .map(|model| read_temperature(&model))
+            .map(|model| TemperatureModel::read(&model))
             .transpose()?,
         tools: section.section("tools")?.map(|list| tools::read(&list)).transpose()?,
     };
@@ -137,45 +163,36 @@ pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
 }
 
 fn read_sensor(section: &Section<'_>, input: Option<SensorInput>) -> Result<SensorModel, BadInput> {
-    let k0_um = section.required("k0_um", section.number("k0_um")?)?;
+    let keys = SensorKeys::read(section)?;
     let counts_per_v = input.map(|input| input.counts_full_scale / input.volts_full_scale);
     let either =
-        |counts: &str, volts: &str, in_counts: fn(f64, f64) -> f64| match (
-            section.number(counts)?,
-            section.number(volts)?,
-        ) {
+        |(counts, in_counts): (&str, Option<f64>),
+         (volts, in_volts): (&str, Option<f64>),
+         convert: fn(f64, f64) -> f64| match (in_counts, in_volts) {
             (Some(_), Some(_)) => {
                 Err(section.bad(volts, format!("stands beside {counts}: write one of the two")))
             }
             (None, Some(value)) => match counts_per_v {
-                Some(counts_per_v) => Ok((in_counts(value, counts_per_v), volts.to_string())),
+                Some(counts_per_v) => Ok(rounded(convert(value, counts_per_v))),
                 None => Err(section
                     .bad(volts, "needs [inputs] sensor, which says how many counts a volt is")),
             },
-            (value, None) => Ok((section.required(counts, value)?, counts.to_string())),
+            (value, None) => section.required(counts, value),
         };
-    let (zero_counts, _) =
-        either("zero_counts", "zero_v", |v, counts_per_v| rounded(v * counts_per_v))?;
-    let (um_per_count, key) = either("um_per_count", "um_per_v", |um_per_v, counts_per_v| {
-        rounded(um_per_v / counts_per_v)
+    let zero = ("zero_counts", keys.zero_counts);
+    let zero_counts = either(zero, ("zero_v", keys.zero_v), |v, counts_per_v| v * counts_per_v)?;
+    let slope = ("um_per_count", keys.um_per_count);
+    let um_per_count = either(slope, ("um_per_v", keys.um_per_v), |um_per_v, counts_per_v| {
+        um_per_v / counts_per_v
     })?;
     if um_per_count == 0.0 {
-        return Err(section.bad(&key, "must not be 0"));
+        let key = if keys.um_per_v.is_some() { "um_per_v" } else { "um_per_count" };
+        return Err(section.bad(key, "must not be 0"));
     }
-    let temperature = read_temperature_column(section, "temperature")?;
-    Ok(SensorModel { k0_um, zero_counts, um_per_count, temperature })
+    Ok(SensorModel { k0_um: keys.k0_um, zero_counts, um_per_count, temperature: keys.temperature })
 }
 
-fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
-    let warmup = Warmup {
-        lag_s: section.required("lag_s", section.not_negative("lag_s")?)?,
-        warm_s: section.required("warm_s", section.positive("warm_s")?)?,
-        max_um: section.required("max_um", section.number("max_um")?)?,
-        exponent: section.required("exponent", section.positive("exponent")?)?,
-        cool_s: section.positive("cool_s")?,
-        rated_rpm: section.positive("rated_rpm")?,
-        speed_exponent: section.not_negative("speed_exponent")?.unwrap_or(0.0),
-    };
+fn is_consistent(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, BadInput> {
     if warmup.warm_s <= warmup.lag_s {
         let rule = format!(
             "must be above lag_s = {}, not {}: the spindle warms up in between",
@@ -190,62 +207,28 @@ fn read_warmup(section: &Section<'_>) -> Result<Warmup, BadInput> {
     Ok(warmup)
 }
 
-fn read_temperature(section: &Section<'_>) -> Result<TemperatureModel, BadInput> {
-    let number = |key| section.required(key, section.number(key)?);
-    Ok(TemperatureModel {
-        sensor: section.required("sensor", read_temperature_column(section, "sensor")?)?,
-        reference_c: number("reference_c")?,
-        k_um_per_c: number("k_um_per_c")?,
-        lag_s: section.not_negative("lag_s")?.unwrap_or(0.0),
-    })
-}
-
 pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
+    let inner = |key: &str| NewSection::new(format!("spindle.{key}"));
     let mut sections = Vec::new();
     if let Some(source) = spindle.source {
-        sections.push(NewSection::new("spindle").text("source", source.name()));
+        sections.push(NewSection::new("spindle").text(SOURCE.name, source.name()));
     }
-    sections.extend(spindle.sensor.as_ref().map(write_sensor));
-    sections.extend(spindle.temperature.as_ref().map(write_temperature));
-    sections.extend(spindle.warmup.as_ref().map(write_warmup));
+    sections.extend(spindle.sensor.clone().map(|it| {
+        let SensorModel { k0_um, zero_counts, um_per_count, temperature } = it;
+        let (zero_counts, um_per_count) = (Some(zero_counts), Some(um_per_count));
+        let (zero_v, um_per_v) = (None, None);
+        SensorKeys { k0_um, zero_counts, um_per_count, zero_v, um_per_v, temperature }
+            .write(inner("sensor"))
+    }));
+    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner("temperature"))));
+    sections.extend(spindle.warmup.as_ref().map(|it| {
+        let section = it.write(inner("warmup"));
+        if it.rated_rpm.is_some() { section } else { section.without(&["speed_exponent"]) }
+    }));
     sections.extend(spindle.tools.as_ref().map(tools::write));
     sections
 }
 
-fn write_sensor(model: &SensorModel) -> NewSection {
-    let section = NewSection::new("spindle.sensor")
-        .number("k0_um", model.k0_um)
-        .number("zero_counts", model.zero_counts)
-        .number("um_per_count", model.um_per_count);
-    match &model.temperature {
-        Some(column) => section.text("temperature", column),
-        None => section,
-    }
-}
-
-fn write_warmup(model: &Warmup) -> NewSection {
-    let mut section = NewSection::new("spindle.warmup")
-        .number("lag_s", model.lag_s)
-        .number("warm_s", model.warm_s)
-        .number("max_um", model.max_um)
-        .number("exponent", model.exponent);
-    if let Some(cool_s) = model.cool_s {
-        section = section.number("cool_s", cool_s);
-    }
-    if let Some(rated_rpm) = model.rated_rpm {
-        section =
-            section.number("rated_rpm", rated_rpm).number("speed_exponent", model.speed_exponent);
-    }
-    section
-}
-
-fn write_temperature(model: &TemperatureModel) -> NewSection {
-    NewSection::new("spindle.temperature")
-        .text("sensor", &model.sensor)
-        .number("reference_c", model.reference_c)
-        .number("k_um_per_c", model.k_um_per_c)
-        .number("lag_s", model.lag_s)
-}
 /// Returns a converted number without the rounding of `f64` in its last digits: 2.1 V of 3276.8 counts are 6881.28.
 fn rounded(value: f64) -> f64 {
     format!("{value:.13e}").parse().unwrap_or(value)

@@ -2,6 +2,10 @@
 
 use super::{
     axis::LinearAxis::{self, X, Y, Z},
+    key::{
+        Form::{Number, Numbers, Whole},
+        Key, key, section,
+    },
     read::{MAX_ELEMENTS, Section},
     write::section::NewSection,
 };
@@ -145,11 +149,46 @@ impl BSpline {
     }
 }
 
+const CURVE: &[Key] = &[
+    key("order", Whole(2, 4), "", "degree plus one; 4 is cubic").required().as_in("4"),
+    KNOTS.required(),
+    key(CONTROL, Numbers, "µm", "the control points")
+        .required()
+        .as_in("[0.0, 3.0, -2.0, 4.0, 0.0]"),
+];
+
+/// The knots of a spline.
+pub(super) const KNOTS: Key = key("knots_mm", Numbers, "mm", "as many as control points and `order` together, not falling; the first and the last stand there `order` times")
+    .as_in("[0.0, 0.0, 0.0, 0.0, 500.0, 1000.0, 1000.0, 1000.0, 1000.0]");
+
+/// In the order of [`Straightness::PAIRS`].
+pub(super) const STRAIGHTNESS: &[Key] = &[
+    section("y_of_x", CURVE, "the B-spline of Y's deviation while X moves"),
+    section("z_of_x", CURVE, "of Z while X moves"),
+    section("z_of_y", CURVE, "of Z while Y moves"),
+    section("x_of_y", CURVE, "of X while Y moves"),
+    section("x_of_z", CURVE, "of X while Z moves"),
+    section("y_of_z", CURVE, "of Y while Z moves"),
+];
+
+const fn line(name: &'static str, meaning: &'static str) -> Key {
+    key(name, Number, "µm/m", meaning).as_in("3.5")
+}
+
+/// In the order of [`Straightness::PAIRS`].
+pub(super) const SQUARENESS: &[Key] = &[
+    line("y_of_x_um_per_m", "error of Y for each metre of X"),
+    line("z_of_x_um_per_m", "of Z for each metre of X"),
+    line("z_of_y_um_per_m", "of Z for each metre of Y"),
+    line("x_of_y_um_per_m", "of X for each metre of Y"),
+    line("x_of_z_um_per_m", "of X for each metre of Z"),
+    line("y_of_z_um_per_m", "of Y for each metre of Z"),
+];
+
 pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightness>, BadInput> {
-    let names = Straightness::PAIRS.map(pair_name);
     let mut curves = Vec::new();
-    for ((error, along), name) in Straightness::PAIRS.into_iter().zip(&names) {
-        if let Some(section) = section.section(name)? {
+    for ((error, along), key) in Straightness::PAIRS.into_iter().zip(STRAIGHTNESS) {
+        if let Some(section) = section.section(key.name)? {
             curves.push(Straightness { error, along, spline: read_spline(&section, CONTROL)? });
         }
     }
@@ -176,13 +215,10 @@ pub(crate) fn read_spline(section: &Section<'_>, control: &str) -> Result<BSplin
 }
 
 pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, BadInput> {
-    let all = Straightness::PAIRS
-        .map(|(error, along)| Squareness { error, along, um_per_m: 0.0 })
-        .map(|angle| (angle.name(), angle));
     let mut angles = Vec::new();
-    for (name, angle) in all {
-        if let Some(um_per_m) = section.number(&name)? {
-            angles.push(Squareness { um_per_m, ..angle });
+    for ((error, along), key) in Straightness::PAIRS.into_iter().zip(SQUARENESS) {
+        if let Some(um_per_m) = section.number(key.name)? {
+            angles.push(Squareness { error, along, um_per_m });
         }
     }
     Ok(angles)

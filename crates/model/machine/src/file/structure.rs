@@ -4,9 +4,10 @@
 use std::{collections::BTreeSet, path::Path};
 
 use super::{
-    inputs::{is_condition, is_temperature_column, read_temperature_column},
-    keys::{Form, Key, Need, TERM, TERM_KEYS},
-    read::{Document, Section},
+    inputs::is_condition,
+    key::{Form, Key, Need},
+    keys::{TERM, TERM_KEYS},
+    read::{Document, Section, is_temperature_column},
     term,
 };
 use crate::{effect::Cause, location::BadInput};
@@ -121,7 +122,7 @@ fn of_value(section: &Section<'_>, name: &str, key: &Key, faults: &mut Vec<BadIn
     let result = match key.form {
         Form::Text => section.text(name).map(drop),
         Form::Boolean => section.boolean(name).map(drop),
-        Form::Column => read_temperature_column(section, name).map(drop),
+        Form::Column => section.temperature_column(name).map(drop),
         Form::Choice(choices) => {
             let choices: Vec<(&str, ())> = choices.iter().map(|choice| (*choice, ())).collect();
             section.choice(name, &choices).map(drop)

@@ -1,16 +1,18 @@
 //! `[thermal_state]`: what the board takes for a machine that has no heat of its own.
 
-use super::{read::Section, write::section::NewSection};
-use crate::location::BadInput;
+use super::table::table;
 
-/// Without the section: class B of IEC 60751 is ±0.4 K at 20 °C.
-pub(super) const COLD_WITHIN_C: f64 = 0.5;
-
-/// Thermometers that agree within this in °C belong to a cold machine; at least 0.
-pub(super) fn read(section: &Section<'_>) -> Result<f64, BadInput> {
-    section.required("cold_within_c", section.not_negative("cold_within_c")?)
+table! {
+    /// The state of a cold machine.
+    #[derive(PartialEq)]
+    pub(super) struct ThermalState {
+        cold_within_c: f64 = key(NotNegative, "K", "after a power cut the machine counts as cold if at least two thermometers agree within this; a board takes at most 5").required().as_in("0.5");
+    }
 }
 
-pub(super) fn write(cold_within_c: f64) -> NewSection {
-    NewSection::new("thermal_state").number("cold_within_c", cold_within_c)
+impl Default for ThermalState {
+    /// Class B of IEC 60751 is ±0.4 K at 20 °C.
+    fn default() -> Self {
+        Self { cold_within_c: 0.5 }
+    }
 }

@@ -4,7 +4,12 @@
 //! that is added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
 
 use super::{
+    key::{
+        Form::{Number, Text, Whole},
+        Key, key, section,
+    },
     read::Section,
+    table::value,
     write::section::{NewSection, Value},
 };
 use crate::{
@@ -14,6 +19,22 @@ use crate::{
 
 /// The key of every tool that is not in the list.
 const DEFAULT: &str = "default";
+
+const GROWTH: Key = key("um_per_krpm2", Number, "µm", "growth with speed, for (1000 r/min)²")
+    .required()
+    .as_in("0.021");
+
+const TOOL: &[Key] = &[
+    GROWTH,
+    key("number", Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").as_in("7"),
+    key("label", Text, "", "of a key that is a number: what the column `tool` of a run file calls it").as_in("\"drill\""),
+];
+
+pub(super) const TOOLS: &[Key] = &[
+    section(DEFAULT, &[GROWTH], "every tool that is not in the list, and while no tool is known")
+        .required(),
+    section("<tool>", TOOL, "a tool, by the number that the CNC sends or by a label; at most 32"),
+];
 
 /// The tools of a spindle.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,7 +85,7 @@ impl Tools {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
-    let growth = |of: &Section<'_>| of.required("um_per_krpm2", of.number("um_per_krpm2")?);
+    let growth = |of: &Section<'_>| value::<f64>(of, &GROWTH);
     let default = section.required(DEFAULT, section.section(DEFAULT)?)?;
     let mut tools: Vec<Tool> = Vec::new();
     for key in section.keys().into_iter().filter(|key| *key != DEFAULT) {
@@ -118,7 +139,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
 }
 
 pub(super) fn write(tools: &Tools) -> NewSection {
-    let growth = |um: f64| ("um_per_krpm2".to_string(), Value::Number(um));
+    let growth = |um: f64| (GROWTH.name.to_string(), Value::Number(um));
     let section = NewSection::new("spindle.tools");
     let section = tools.tools.iter().fold(section, |section, tool| {
         let mut entries = Vec::new();

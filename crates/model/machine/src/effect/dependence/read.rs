@@ -3,7 +3,7 @@
 use super::{Dependence, Form, values::SWITCH};
 use crate::{
     effect::cause_spec::{Times, number},
-    file::{inputs::is_temperature_column, read::Section},
+    file::read::{Section, is_temperature_column},
     location::BadInput,
 };
 

@@ -6,7 +6,7 @@ use crate::{
         data_view::{DataView, StartValues, spread},
         forms::Times,
     },
-    file::inputs::is_temperature_column,
+    file::read::is_temperature_column,
 };
 
 /// The column of the spindle's speed.

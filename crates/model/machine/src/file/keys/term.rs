@@ -1,6 +1,6 @@
 //! The keys of `[[term]]`: those that every term has, and those of the causes.
 
-use super::key::{
+use crate::file::key::{
     Form::{self, Choice, NotNegative, Number, Numbers, Positive, Text, Whole},
     Key, key,
 };

@@ -115,6 +115,18 @@ impl NewSection {
         self
     }
 
+    /// Without these keys.
+    pub(crate) fn without(mut self, keys: &[&str]) -> Self {
+        self.entries.retain(|entry| !keys.contains(&entry.key.as_str()));
+        self
+    }
+
+    /// With `key`, where it is there, behind all others.
+    pub(crate) fn last(mut self, key: &str) -> Self {
+        self.entries.sort_by_key(|entry| entry.key == key);
+        self
+    }
+
     /// Gives the section another dotted name.
     pub fn rename(&mut self, name: impl Into<String>) {
         self.name = name.into();
@@ -133,6 +145,11 @@ impl NewSection {
             Some(Value::Number(number)) => Some(*number),
             _ => None,
         }
+    }
+
+    /// Returns whether it has no key.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.entries.is_empty()
     }
 
     /// Its keys with their values, in their order.

@@ -15,6 +15,10 @@ pub struct Key {
     pub meaning: &'static str,
     /// A value, as TOML; empty for a section.
     pub example: &'static str,
+    /// Whether it is not written where it has its default.
+    pub(crate) is_quiet: bool,
+    /// Whether its table is written on one line.
+    pub(crate) is_inline: bool,
 }
 
 /// The form of a key's value.
@@ -63,16 +67,25 @@ pub enum Need {
     Default(&'static str),
 }
 
-pub(super) const fn key(
+pub(crate) const fn key(
     name: &'static str,
     form: Form,
     unit: &'static str,
     meaning: &'static str,
 ) -> Key {
-    Key { name, form, need: Need::Optional, unit, meaning, example: "" }
+    Key {
+        name,
+        form,
+        need: Need::Optional,
+        unit,
+        meaning,
+        example: "",
+        is_quiet: false,
+        is_inline: false,
+    }
 }
 
-pub(super) const fn section(
+pub(crate) const fn section(
     name: &'static str,
     keys: &'static [Key],
     meaning: &'static str,
@@ -81,15 +94,25 @@ pub(super) const fn section(
 }
 
 impl Key {
-    pub(super) const fn required(self) -> Self {
+    pub(crate) const fn required(self) -> Self {
         Self { need: Need::Required, ..self }
     }
 
-    pub(super) const fn or(self, default: &'static str) -> Self {
+    pub(crate) const fn or(self, default: &'static str) -> Self {
         Self { need: Need::Default(default), example: default, ..self }
     }
 
-    pub(super) const fn as_in(self, example: &'static str) -> Self {
+    pub(crate) const fn as_in(self, example: &'static str) -> Self {
         Self { example, ..self }
+    }
+
+    /// Returns it as one that is not written where it has its default.
+    pub(crate) const fn quiet(self) -> Self {
+        Self { is_quiet: true, ..self }
+    }
+
+    /// Returns it as a table that is written on one line.
+    pub(crate) const fn inline(self) -> Self {
+        Self { is_inline: true, ..self }
     }
 }

@@ -1,0 +1,336 @@
+//! Sections whose keys are the fields of a struct, each declared once.
+//!
+//! [`table!`] makes the struct, the keys' descriptions ([`Key`]), the reader and the writer of one declaration. The
+//! schema, the reference, every message's help and "did you mean" are made of the descriptions.
+
+use std::path::Path;
+
+use super::{
+    key::{Form, Key, Need},
+    read::{Document, Section},
+    write::section::{NewSection, Value},
+};
+use crate::location::BadInput;
+
+/// Declares a struct whose fields are the keys of a section:
+///
+/// ```text
+/// table! {
+///     /// The struct.
+///     pub struct Backlash {
+///         /// What the file's readers need not know.
+///         width_um: f64 = key(Number, "µm", "error after a move in the negative direction").required();
+///     }
+///     checked by rules
+/// }
+/// ```
+///
+/// A key has the name of its field. `rules`, where it is there, holds the keys that were read against each other.
+macro_rules! table {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis struct $Name:ident {
+            $($(#[$doc:meta])* $field:ident: $Type:ty =
+                key($form:expr, $unit:literal, $meaning:literal)
+                $(.$property:ident($($argument:expr),*))*;)*
+        }
+        $(checked by $rules:path)?
+    ) => {
+        $(#[$attribute])*
+        $visibility struct $Name {
+            $(
+                $(#[$doc])*
+                #[doc = ""]
+                #[doc = concat!("`", stringify!($field), "`: ", $meaning, ".")]
+                $visibility $field: $Type,
+            )*
+        }
+
+        impl $crate::file::table::Table for $Name {
+            const KEYS: &'static [$crate::file::key::Key] = {
+                use $crate::file::key::{Form::*, key};
+                &[$(key(stringify!($field), $form, $unit, $meaning)
+                    $(.$property($($argument),*))*),*]
+            };
+
+            fn read(
+                section: &$crate::file::read::Section<'_>,
+            ) -> Result<Self, $crate::location::BadInput> {
+                let mut keys = Self::KEYS.iter();
+                let mut next = || keys.next().expect("one for each field");
+                let table = Self { $($field: $crate::file::table::value(section, next())?),* };
+                $(let table = $rules(section, table)?;)?
+                Ok(table)
+            }
+
+            fn write(
+                &self,
+                section: $crate::file::write::section::NewSection,
+            ) -> $crate::file::write::section::NewSection {
+                let mut keys = Self::KEYS.iter();
+                let mut next = || keys.next().expect("one for each field");
+                $(let section = $crate::file::table::written(section, next(), &self.$field);)*
+                section
+            }
+        }
+    };
+}
+
+/// Declares an enum whose values have names in the file.
+macro_rules! choice {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis enum $Name:ident {
+            $($(#[$doc:meta])* $Choice:ident = $name:literal,)*
+        }
+    ) => {
+        $(#[$attribute])*
+        $visibility enum $Name {
+            $($(#[$doc])* $Choice,)*
+        }
+
+        impl $Name {
+            /// The names of all of them.
+            pub(crate) const NAMES: &'static [&'static str] = &[$($name),*];
+
+            /// All of them.
+            pub const ALL: [Self; Self::NAMES.len()] = [$(Self::$Choice),*];
+
+            /// Returns its name in files.
+            #[must_use]
+            pub fn name(self) -> &'static str {
+                Self::NAMES[self as usize]
+            }
+        }
+
+        impl $crate::file::table::KeyValue for $Name {
+            fn at(
+                section: &$crate::file::read::Section<'_>,
+                key: &$crate::file::key::Key,
+            ) -> Result<Option<Self>, $crate::location::BadInput> {
+                section.choice(key.name, &Self::ALL.map(|choice| (choice.name(), choice)))
+            }
+
+            fn written(
+                &self,
+                _: &$crate::file::key::Key,
+            ) -> Option<$crate::file::write::section::Value> {
+                Some($crate::file::write::section::Value::Text(self.name().into()))
+            }
+        }
+    };
+}
+
+pub(crate) use {choice, table};
+
+/// A section whose keys are the fields of a struct.
+pub(crate) trait Table: Sized {
+    /// Its keys, in the order of the reference.
+    const KEYS: &'static [Key];
+
+    /// Returns what stands in `section`.
+    fn read(section: &Section<'_>) -> Result<Self, BadInput>;
+
+    /// Returns `section` with the keys after those that it has.
+    fn write(&self, section: NewSection) -> NewSection;
+}
+
+/// A value of a key.
+pub(crate) trait KeyValue: Sized {
+    /// Returns what stands at `key`, if it is there.
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput>;
+
+    /// Returns it as it is written; `None` where it is not, or in a section of its own.
+    fn written(&self, key: &Key) -> Option<Value>;
+
+    /// Returns the value of an optional key that is not there.
+    fn absent(_: &Key) -> Option<Self> {
+        None
+    }
+}
+
+/// Returns the value of `key`: what stands there, or what holds without it.
+pub(crate) fn value<T: KeyValue>(section: &Section<'_>, key: &Key) -> Result<T, BadInput> {
+    let there = T::at(section, key)?;
+    section.required(key.name, there.or_else(|| without(key)))
+}
+
+/// Returns what holds without `key`; `None` where it must be there.
+fn without<T: KeyValue>(key: &Key) -> Option<T> {
+    match key.need {
+        Need::Required => None,
+        Need::Optional => T::absent(key),
+        Need::Default(default) => {
+            let text = format!("{} = {default}", key.name);
+            let document = Document::parse(&text, Path::new("")).ok()?;
+            T::at(&document.root(), key).ok().flatten()
+        }
+    }
+}
+
+/// Returns a table of which no key is there; `None` where one must be.
+pub(crate) fn empty<T: Table>() -> Option<T> {
+    let document = Document::parse("", Path::new("")).ok()?;
+    T::read(&document.root()).ok()
+}
+
+/// Returns `section` with this key.
+pub(crate) fn written<T: KeyValue>(section: NewSection, key: &Key, value: &T) -> NewSection {
+    let written = value.written(key);
+    let is_left_out =
+        key.is_quiet && without::<T>(key).is_some_and(|it| it.written(key) == written);
+    match written {
+        Some(value) if !is_left_out => section.with(key.name, value),
+        _ => section,
+    }
+}
+
+/// Returns a table as it is written on one line.
+pub(crate) fn on_one_line(table: &impl Table) -> Value {
+    let section = table.write(NewSection::new(""));
+    let entry = |(name, value): (&str, &Value)| (name.to_string(), value.clone());
+    Value::Inline(section.values().map(entry).collect())
+}
+
+impl<T: Table> KeyValue for T {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        section.section(key.name)?.map(|inner| T::read(&inner)).transpose()
+    }
+
+    fn written(&self, key: &Key) -> Option<Value> {
+        key.is_inline.then(|| on_one_line(self))
+    }
+
+    fn absent(_: &Key) -> Option<Self> {
+        empty()
+    }
+}
+
+impl<T: KeyValue> KeyValue for Option<T> {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        Ok(T::at(section, key)?.map(Some))
+    }
+
+    fn written(&self, key: &Key) -> Option<Value> {
+        self.as_ref()?.written(key)
+    }
+
+    fn absent(_: &Key) -> Option<Self> {
+        Some(None)
+    }
+}
+
+impl KeyValue for f64 {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        match key.form {
+            Form::Positive => section.positive(key.name),
+            Form::NotNegative => section.not_negative(key.name),
+            _ => section.number(key.name),
+        }
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Number(*self))
+    }
+
+    fn absent(_: &Key) -> Option<Self> {
+        Some(0.0)
+    }
+}
+
+impl KeyValue for u32 {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let Form::Whole(least, most) = key.form else { return Ok(None) };
+        section.whole(key.name, least, most)
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Whole(*self))
+    }
+}
+
+impl KeyValue for u8 {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let whole = u32::at(section, key)?;
+        Ok(whole.map(|it| u8::try_from(it).expect("the key's range is within that of u8")))
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Whole((*self).into()))
+    }
+}
+
+impl KeyValue for bool {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        match key.form {
+            Form::Whole(..) => Ok(u32::at(section, key)?.map(|whole| whole != 0)),
+            _ => section.boolean(key.name),
+        }
+    }
+
+    fn written(&self, key: &Key) -> Option<Value> {
+        Some(match key.form {
+            Form::Whole(..) => Value::Whole((*self).into()),
+            _ => Value::Boolean(*self),
+        })
+    }
+}
+
+impl KeyValue for String {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let text = match key.form {
+            Form::Column => section.temperature_column(key.name)?,
+            _ => section.text(key.name)?,
+        };
+        Ok(text.map(str::to_string))
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Text(self.clone()))
+    }
+}
+
+impl KeyValue for Vec<String> {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let texts = section.texts(key.name)?;
+        Ok(texts.map(|texts| texts.into_iter().map(str::to_string).collect()))
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Texts(self.clone()))
+    }
+}
+
+impl KeyValue for Vec<f64> {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        section.numbers(key.name)
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Numbers(self.clone()))
+    }
+}
+
+/// Three numbers: an array, or a table with three keys.
+impl KeyValue for [f64; 3] {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let Form::Table([x, y, z]) = key.form else { return section.vector(key.name) };
+        let Some(inner) = section.section(key.name)? else { return Ok(None) };
+        Ok(Some([value(&inner, x)?, value(&inner, y)?, value(&inner, z)?]))
+    }
+
+    fn written(&self, key: &Key) -> Option<Value> {
+        Some(match key.form {
+            Form::Table(keys) => {
+                let entry = |(key, value): (&Key, &f64)| (key.name.into(), Value::Number(*value));
+                Value::Inline(keys.iter().zip(self).map(entry).collect())
+            }
+            _ => Value::Numbers(self.to_vec()),
+        })
+    }
+
+    fn absent(key: &Key) -> Option<Self> {
+        let Form::Table([x, y, z]) = key.form else { return None };
+        Some([without(x)?, without(y)?, without(z)?])
+    }
+}
