@@ -1,8 +1,8 @@
 //! In how many places the name of one cause of error stands.
 //!
-//! Not counted are its own page (the file that is named after it), the list of the pages, the virtual
-//! machine tool, which must not share a word with the model that is tried on it, and tests. Names
-//! that are ordinary words (`backlash`, `step`) cannot be distinguished from these and are left out.
+//! Not counted are its own page (the file that is named after it, or a table of the causes with one
+//! number), the list of the pages, the virtual machine tool, which must not share a word with the
+//! model that is tried on it, and tests. Names that are ordinary words (`backlash`, `step`) cannot be distinguished from these and are left out.
 
 use super::source::{SourceFile, is_name};
 
@@ -50,7 +50,8 @@ fn places(sources: &[SourceFile], cause: &str) -> Vec<String> {
     let snake = cause.replace('-', "_");
     let camel: String = cause.split('-').map(capitalised).collect();
     let (quoted, module) = (format!("\"{cause}\""), format!("{snake}::"));
-    let page = [format!("{PAGES}{snake}.rs"), format!("{PAGES}{snake}/")];
+    let page =
+        [format!("{PAGES}{snake}.rs"), format!("{PAGES}{snake}/"), format!("{PAGES}one_number")];
     let list = [format!("{PAGES}mod.rs"), format!("{PAGES}list.rs")];
     let counts = |source: &&SourceFile| {
         !source.is_test()
@@ -100,6 +101,7 @@ mod tests {
             at("crates/x/tests/a.rs"),
             at("crates/bench/twin/src/a.rs"),
             at("crates/model/machine/src/effect/cutting_load.rs"),
+            at("crates/model/machine/src/effect/one_number/sensor.rs"),
             at("crates/model/machine/src/effect/mod.rs"),
         ];
         let (cause, places) = most_often_named(&sources);

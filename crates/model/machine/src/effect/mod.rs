@@ -3,14 +3,15 @@
 //! A page says all about its cause: what it is called, where it applies, its keys, the columns that
 //! it needs, its law in `f64`, where a search for it begins, whether a correction may be built on it,
 //! what it is on the board, and what it means to people. All others ask the page: reading, writing,
-//! predicting, compiling, showing, diagnosing, exporting. A new cause is a page and a line in the
-//! list below, with its `mod` line: `rustfmt` does not look into macros.
+//! predicting, compiling, showing, diagnosing, exporting. A new cause is a page, or an entry in a table of
+//! `one_number`, and a line in the list below, with its `mod` line: `rustfmt` does not look into macros.
 //!
 //! | file | is |
 //! |---|---|
-//! | `page` | what a page answers |
+//! | `cause_spec` | what a page answers |
+//! | `one_number` | the page of every cause that has one number, and the tables of these causes |
 //! | `law` | its law over columns |
-//! | `survey` | what it asks of the data before it proposes itself |
+//! | `data_view` | what it asks of the data before it proposes itself |
 //! | `heat`, `wave` | what several causes have in common |
 //!
 //! # Order of composition
@@ -29,46 +30,30 @@
 
 mod angular_error;
 mod axis_expansion;
-mod backlash;
 mod category;
 mod cause_spec;
-mod centrifugal_growth;
-mod cooling_asymmetry;
 mod cross_axis;
-mod cutting_load;
 mod data_view;
 mod dependence;
 mod drift;
-mod expansion_constant;
-mod expansion_slope;
 mod extra_heat_path;
 mod feed_dependent_backlash;
 mod forms;
-mod growth_amplitude;
-mod growth_rate;
 mod heat;
 mod law;
 mod nonlinear;
+mod one_number;
 mod outliers;
 mod periodic_in_time;
 mod pitch_error;
 mod pitch_periodic;
-mod pitch_scale;
-mod position_dependent_backlash;
 mod quantity;
 mod reference_instrument;
-mod reference_temperature;
-mod sensor_curvature;
-mod sensor_gain;
-mod sensor_offset;
-mod sensor_saturation;
 mod sensor_temperature_drift;
 mod slow_mode;
 mod step;
 mod straightness;
-mod thermal_lag;
 mod thermometer_lag;
-mod time_shift;
 mod wave;
 mod within;
 
@@ -216,30 +201,30 @@ macro_rules! causes {
 }
 
 causes! {
-    sensor_offset::SensorOffset "The zero of the sensor is elsewhere.",
-    sensor_gain::SensorGain "The sensor gives more or less for a micrometre.",
-    sensor_curvature::SensorCurvature "The sensor's characteristic is bent.",
-    sensor_saturation::SensorSaturation "The sensor's range ends.",
+    one_number::SensorOffset "The zero of the sensor is elsewhere.",
+    one_number::SensorGain "The sensor gives more or less for a micrometre.",
+    one_number::SensorCurvature "The sensor's characteristic is bent.",
+    one_number::SensorSaturation "The sensor's range ends.",
     sensor_temperature_drift::SensorTemperatureDrift "The sensor follows its own temperature.",
-    time_shift::TimeShift "Two clocks differ.",
+    one_number::TimeShift "Two clocks differ.",
     thermometer_lag::ThermometerLag "The thermometer is late.",
-    thermal_lag::ThermalLag "Growth follows its thermometer late.",
+    one_number::ThermalLag "Growth follows its thermometer late.",
     slow_mode::SlowMode "A slow part of the growth.",
     extra_heat_path::ExtraHeatPath "Heat that the model does not know.",
-    growth_amplitude::GrowthAmplitude "It grows more or less than believed.",
-    growth_rate::GrowthRate "It grows faster or slower than believed.",
-    cooling_asymmetry::CoolingAsymmetry "It cools at another rate than it heats.",
+    one_number::GrowthAmplitude "It grows more or less than believed.",
+    one_number::GrowthRate "It grows faster or slower than believed.",
+    one_number::CoolingAsymmetry "It cools at another rate than it heats.",
     axis_expansion::AxisExpansion "The axis grows with a temperature, and the file has no law for it.",
-    expansion_constant::ExpansionConstant "All of the axis shifts more or less than believed.",
-    expansion_slope::ExpansionSlope "The axis expands more or less than believed.",
-    reference_temperature::ReferenceTemperature "The axis is right at another temperature.",
-    centrifugal_growth::CentrifugalGrowth "Speed itself stretches the spindle.",
-    cutting_load::CuttingLoad "The cut pushes the tool back.",
-    pitch_scale::PitchScale "The scale or screw is long or short.",
+    one_number::ExpansionConstant "All of the axis shifts more or less than believed.",
+    one_number::ExpansionSlope "The axis expands more or less than believed.",
+    one_number::ReferenceTemperature "The axis is right at another temperature.",
+    one_number::CentrifugalGrowth "Speed itself stretches the spindle.",
+    one_number::CuttingLoad "The cut pushes the tool back.",
+    one_number::PitchScale "The scale or screw is long or short.",
     pitch_error::PitchError "The scale or screw is uneven.",
     pitch_periodic::PitchPeriodic "The error repeats with each turn or graduation.",
-    backlash::Backlash "The axis is left behind on reversal.",
-    position_dependent_backlash::PositionDependentBacklash "Backlash differs along the axis.",
+    one_number::Backlash "The axis is left behind on reversal.",
+    one_number::PositionDependentBacklash "Backlash differs along the axis.",
     feed_dependent_backlash::FeedDependentBacklash "Backlash differs with the feed.",
     straightness::Straightness "The guide is not straight.",
     cross_axis::CrossAxis "Another axis, as it moves, tilts or shifts this one.",

@@ -8,10 +8,10 @@ use super::{
     cause_spec::{
         CauseSpec, Entry, Host, Input, Nonlinear, Parameter, Stage, Target, Times, Value,
     },
-    centrifugal_growth::CentrifugalGrowth,
     data_view::{DataView, StartValues, spread},
     dependence::{Dependence, Form, SPEED},
     law::Columns,
+    one_number::CentrifugalGrowth,
 };
 use crate::{
     file::{

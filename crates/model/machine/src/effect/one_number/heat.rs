@@ -1,0 +1,291 @@
+//! Constants of the machine's own thermal laws that are others than believed.
+
+use super::{Declared, Neutral, OneNumber, one_number};
+use crate::{
+    effect::{
+        cause_spec::{Input, Nonlinear, OnBoard, Stage, Target, minutes},
+        data_view::{FINE_TIME_CONSTANTS, StartValues, TIME_CONSTANTS, spread},
+    },
+    file::spindle::ElongationSource,
+};
+
+const START_AND_STOP: &str =
+    "Record a start from cold and a stop from warm, each until nothing moves any more.";
+
+/// A constant of the own axis's thermal law.
+const OF_AXIS: OneNumber =
+    OneNumber { home: Target::Axis, stage: Stage::Constant, ..OneNumber::USUAL };
+
+/// A time constant of a law.
+const TIME_CONSTANT: OneNumber = OneNumber {
+    home: Target::OwnThermometer,
+    stage: Stage::Constant,
+    is_positive: true,
+    nonlinear: &[Nonlinear::TimeConstant],
+    next_test: START_AND_STOP,
+    ..OneNumber::USUAL
+};
+
+one_number! {
+    /// A factor of the growth: s·p.
+    GrowthAmplitude {
+        /// s; 1: no change.
+        scale
+    }
+}
+
+impl Declared for GrowthAmplitude {
+    const IT: OneNumber = OneNumber {
+        name: "growth-amplitude",
+        home: Target::Elongation,
+        stage: Stage::Factor,
+        neutral: Neutral::At(1.0),
+        inputs: &[Input::Predicted],
+        // A growth that is not within a factor of two of what is believed is not the same growth: another path carries
+        // it.
+        amplitude_limits: Some([-0.5, 1.0]),
+        law: Some(|_, x| x[0]),
+        on_board: |scale| vec![OnBoard::Gain(scale)],
+        propose: |survey| {
+            let source = survey.source();
+            let grows =
+                matches!(source, Some(ElongationSource::Temperature | ElongationSource::Warmup));
+            (grows && spread(survey.law()) > 0.0).then(|| (1.0, StartValues::none()))
+        },
+        sentence: |more| format!("The growth is {:.3} times what the model says.", 1.0 + more),
+        next_test: "Repeat the run at another speed and compare the factor.",
+        ..OneNumber::USUAL
+    };
+}
+
+one_number! {
+    /// A warm-up without an end: Smax·(1 − e^(−(t − t₁)/τ)) after t₁, in place of the one with (t₂ − t₁)/k.
+    GrowthRate {
+        /// τ, in s; above 0.
+        time_constant_s
+    }
+}
+
+impl Declared for GrowthRate {
+    const IT: OneNumber = OneNumber {
+        name: "growth-rate",
+        home: Target::Elongation,
+        refusal: |host| {
+            let is_warmup = host.spindle.source == Some(ElongationSource::Warmup);
+            (host.quantity.axis().is_some() || !is_warmup)
+                .then(|| "needs [spindle] source = \"warmup\"".into())
+        },
+        correct: |time_constant_s, constants| {
+            /// So large an exponent makes the warm-up an exponential without an end: 1 − e^(−40) is 1.
+            const ENDLESS: f64 = 40.0;
+            if let Some(warmup) = constants.spindle.as_mut().and_then(|it| it.warmup.as_mut()) {
+                warmup.exponent = ENDLESS;
+                warmup.warm_s = warmup.lag_s + ENDLESS * time_constant_s;
+            }
+        },
+        propose: |survey| {
+            (survey.source() == Some(ElongationSource::Warmup))
+                .then(|| (0.0, survey.time_constants(FINE_TIME_CONSTANTS)))
+        },
+        sentence: |s| format!("The spindle warms up with a time constant of {}.", minutes(s)),
+        ..TIME_CONSTANT
+    };
+}
+
+one_number! {
+    /// Another lag while it falls: the lag, or the warm-up, with τ.
+    CoolingAsymmetry {
+        /// τ, in s; above 0.
+        time_constant_s
+    }
+}
+
+impl Declared for CoolingAsymmetry {
+    const IT: OneNumber = OneNumber {
+        name: "cooling-asymmetry",
+        stage: Stage::Falling,
+        tier: 1,
+        nonlinear: &[Nonlinear::FallingTimeConstant],
+        refusal: |host| {
+            let is_warmup = host.quantity.axis().is_none()
+                && host.spindle.source == Some(ElongationSource::Warmup);
+            (!host.has_thermometer() && !is_warmup)
+                .then(|| "needs a lag or a warm-up to change".into())
+        },
+        correct: |time_constant_s, constants| {
+            *constants.falling_s = Some(time_constant_s);
+            if let Some(warmup) = constants.spindle.as_mut().and_then(|it| it.warmup.as_mut()) {
+                warmup.cool_s = Some(time_constant_s);
+            }
+        },
+        propose: |survey| {
+            let is_warmup = survey.source() == Some(ElongationSource::Warmup);
+            let stood = || survey.column("spindle_rpm").is_some_and(|rpm| rpm.contains(&0.0));
+            let lags = |believed_s| believed_s > 0.0 || survey.has(ThermalLag::IT.name);
+            (survey.believed_lag_s().is_some_and(lags) || is_warmup && stood())
+                .then(|| (0.0, survey.time_constants(FINE_TIME_CONSTANTS)))
+        },
+        sentence: |s| format!("It cools down with a time constant of its own: {}.", minutes(s)),
+        ..TIME_CONSTANT
+    };
+}
+
+one_number! {
+    /// Another lag: p from the temperature behind a lag of τ.
+    ThermalLag {
+        /// τ in place of the believed one, in s; above 0.
+        time_constant_s
+    }
+}
+
+impl Declared for ThermalLag {
+    const IT: OneNumber = OneNumber {
+        name: "thermal-lag",
+        refusal: |host| {
+            (!host.has_thermometer()).then(|| {
+                format!(
+                    "needs a temperature on which {} depends: [spindle] source = \"temperature\", or \
+                     [axis.*.thermal]",
+                    host.quantity.name()
+                )
+            })
+        },
+        correct: |time_constant_s, constants| {
+            let spindle = constants.spindle.as_mut().and_then(|it| it.temperature.as_mut());
+            if let Some(model) = spindle {
+                model.lag_s = time_constant_s;
+            }
+            if let Some(thermal) = &mut constants.thermal {
+                thermal.lag_s = time_constant_s;
+            }
+        },
+        propose: |survey| {
+            let believed_s = survey.believed_lag_s()?;
+            // A thermometer that is late and a part that is late are one lateness, early or late.
+            if survey.has("thermometer-lag") {
+                return None;
+            }
+            let count = if believed_s > 0.0 { FINE_TIME_CONSTANTS } else { TIME_CONSTANTS };
+            Some((0.0, survey.time_constants(count)))
+        },
+        sentence: |s| {
+            format!(
+                "The machine grows later than its thermometer warms, by a time constant of {}.",
+                minutes(s)
+            )
+        },
+        ..TIME_CONSTANT
+    };
+}
+
+one_number! {
+    /// Another constant: c·(T − T_ref) in the mode "constant" or "both".
+    ExpansionConstant {
+        /// c in place of the believed one, in µm/K; any sign: positive where the warm axis goes too far.
+        um_per_c
+    }
+}
+
+impl Declared for ExpansionConstant {
+    const IT: OneNumber = OneNumber {
+        name: "expansion-constant",
+        neutral: Neutral::Believed,
+        // A table has no constant to correct, and the mode "position" does not use it.
+        refusal: |host| {
+            let is_used = host.thermal.is_none_or(|thermal| thermal.mode.has_constant());
+            host.refuses_thermal_constant().or_else(|| {
+                (!is_used)
+                    .then(|| "corrects a constant that the mode \"position\" does not use".into())
+            })
+        },
+        correct: |um_per_c, constants| {
+            if let Some(thermal) = &mut constants.thermal {
+                thermal.constant_um_per_c = um_per_c;
+            }
+        },
+        propose: |survey| {
+            let thermal = survey.thermal_in_use()?;
+            (thermal.mode.has_constant() && thermal.table.is_none())
+                .then(|| (thermal.constant_um_per_c, StartValues::none()))
+        },
+        sentence: |um_per_c| {
+            format!(
+                "All of the axis shifts with its temperature, wherever it stands: by {um_per_c:+.3} µm/K more than \
+                 believed."
+            )
+        },
+        next_test: "Measure one place of the axis over a warm-up of at least 5 K, until nothing moves any more, and \
+                    over the cool-down after it.",
+        against: &[(
+            "expansion-slope",
+            "Measure the axis at both ends, cold and warm: a constant moves both ends alike, a slope \
+             moves them apart.",
+        )],
+        ..OF_AXIS
+    };
+}
+
+one_number! {
+    /// Another slope: c·(T − T_ref)·(P − P₀)/1000.
+    ExpansionSlope {
+        /// c in place of the believed one, in µm/(m·K).
+        um_per_m_per_c
+    }
+}
+
+impl Declared for ExpansionSlope {
+    const IT: OneNumber = OneNumber {
+        name: "expansion-slope",
+        neutral: Neutral::Believed,
+        // Another reference moves a table along the temperature; another slope has no place in it.
+        refusal: |host| host.refuses_thermal_constant(),
+        correct: |um_per_m_per_c, constants| {
+            if let Some(thermal) = &mut constants.thermal {
+                thermal.slope_um_per_m_per_c = um_per_m_per_c;
+            }
+        },
+        propose: |survey| {
+            let thermal = survey.thermal_in_use().filter(|_| survey.moves())?;
+            (thermal.mode.has_position() && thermal.table.is_none())
+                .then(|| (thermal.slope_um_per_m_per_c, StartValues::none()))
+        },
+        sentence: |um| format!("The axis expands by {um:+.3} µm/(m·K) more than believed."),
+        next_test: "Measure the axis at both ends at two temperatures that are at least 5 K apart.",
+        ..OF_AXIS
+    };
+}
+
+one_number! {
+    /// Another reference: c·(T − T_ref − shift)·(P − P₀)/1000.
+    ReferenceTemperature {
+        /// Added to the believed T_ref, in K.
+        shift_c
+    }
+}
+
+impl Declared for ReferenceTemperature {
+    const IT: OneNumber = OneNumber {
+        name: "reference-temperature",
+        refusal: |host| {
+            host.thermal.is_none().then(|| "needs [axis.*.thermal] of the quantity's axis".into())
+        },
+        correct: |shift_c, constants| {
+            if let Some(thermal) = &mut constants.thermal {
+                thermal.shift_reference(shift_c);
+            }
+        },
+        propose: |survey| {
+            let thermal = survey.thermal_in_use().filter(|_| survey.moves())?;
+            thermal.mode.has_position().then(|| (0.0, StartValues::none()))
+        },
+        sentence: |shift_c| {
+            format!(
+                "The axis is right at another temperature, {shift_c:+.2} K from the believed one."
+            )
+        },
+        next_test: "Look where the reference temperature comes from: the gauge's own (20 °C by ISO 1), the scale's, the one at which the \
+                    axis was last set. While the expansion is linear no measurement of the axis distinguishes a wrong one from a wrong \
+                    scale: both are the same error for each metre at every temperature, and either correction removes it.",
+        ..OF_AXIS
+    };
+}
