@@ -181,9 +181,12 @@ enum Command {
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true)]
 struct LinuxCnc {
-    /// Where the bridge's firmware runs.
+    /// Where the bridge runs.
     #[arg(long, value_enum, default_value_t)]
     on: linuxcnc::On,
+    /// Where its offsets enter LinuxCNC.
+    #[arg(long, value_enum, default_value_t)]
+    by: linuxcnc::By,
     #[command(subcommand)]
     command: Option<LinuxCncCommand>,
 }
@@ -405,9 +408,9 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     Ok(())
 }
 
-fn run_linuxcnc(LinuxCnc { on, command }: LinuxCnc) -> Result<()> {
+fn run_linuxcnc(LinuxCnc { on, by, command }: LinuxCnc) -> Result<()> {
     match command {
-        None => linuxcnc::run_and_publish(on).map(drop),
+        None => linuxcnc::run_and_publish(linuxcnc::Way { on, by }).map(drop),
         Some(LinuxCncCommand::Abuse { cycles, events, seed, ways }) => {
             campaign::abuse(cycles, events, seed.unwrap_or_else(any_seed), &ways)
         }

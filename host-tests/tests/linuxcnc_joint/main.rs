@@ -204,9 +204,22 @@ impl Rig {
 fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
     let Some(mut rig) = Rig::start()? else { return Ok(()) };
     rig.offsets([10.0, -20.0, 40.0])?;
+    no_board::silent(&mut rig.cnc)?;
     rig.check("start")?;
     use events::*;
-    for event in [reversals, programs, aborts, power, homing, ended, soft_limit, probing, silence] {
+    let all = [
+        reversals,
+        programs,
+        aborts,
+        power,
+        homing,
+        ended,
+        homed_meanwhile,
+        soft_limit,
+        probing,
+        silence,
+    ];
+    for event in all {
         event(&mut rig)?;
     }
     rig.cnc.end()

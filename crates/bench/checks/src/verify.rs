@@ -14,7 +14,7 @@ use anyhow::{Result, bail};
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    linuxcnc::{self, On},
+    linuxcnc::{self, Way},
     process,
     setup::{self, TOOLCHAIN_VARIABLE},
     size, slots,
@@ -163,11 +163,11 @@ fn long_checks(checks: &mut Verification, programs: &[Program]) {
     });
     checks.step("LinuxCNC in the loop", || {
         // Without a real-time kernel LinuxCNC starves on a busy computer, and the run is worth nothing.
-        let mut looped = linuxcnc::run_and_publish(On::Qemu);
+        let mut looped = linuxcnc::run_and_publish(Way::default());
         for _ in 1..LINUXCNC_RUNS {
             let Err(error) = &looped else { break };
             trueup_output::diagnostic(format_args!("error: {error:#}; trying again"));
-            looped = linuxcnc::run_and_publish(On::Qemu);
+            looped = linuxcnc::run_and_publish(Way::default());
         }
         Ok(match looped? {
             Some(passed) => Tally::passed(passed),

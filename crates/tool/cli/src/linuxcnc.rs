@@ -215,6 +215,9 @@ pub fn run(args: &LinuxCnc, as_json: bool) -> Result<Outcome> {
     let joints = match args.by {
         configure::OffsetEntry::Eoffset => [None; MAX_JOINTS],
         configure::OffsetEntry::Joint => {
+            for beyond in configure::beyond_limits(args.ini.as_deref(), machine.as_ref())? {
+                log.tell(&beyond);
+            }
             configure::joint_settings(args.ini.as_deref(), slew_um_per_s)?
         }
     };

@@ -12,7 +12,8 @@
 //! A home switch is found with the offset that acts, and LinuxCNC's new reference (`joint.N.motor-offset`) contains it:
 //! to find the same places as before, it has to stay, and new offsets are added to it. So the base is the offset that
 //! acted when `motor-offset` changed. A joint that is homed without an offset has a base of 0. The drive is never
-//! further from the planner's machine than the offset of the axis; both are counted without the base.
+//! further from the planner's machine than the offset of the axis; both are counted without the base. The reference that a base
+//! belongs to is kept at a pin, so that a component that is loaded again sees a homing that it missed.
 //!
 //! `moveoff` computes as `limit3` does, and has a fault (2.9, read and measured): from rest, with an input that stands
 //! above its output, it goes down by acceleration · period² in every other cycle, away from its goal and beyond
@@ -81,6 +82,9 @@ pub struct JointGoal {
     pub min_nm: f64,
     /// … to here.
     pub max_nm: f64,
+    /// The reference of LinuxCNC that all of this is counted from: kept for the component after this one, which sees by it
+    /// that the joint was homed meanwhile. NaN: not known.
+    pub reference_nm: f64,
 }
 
 /// Offsets that act on the axes.
@@ -117,6 +121,8 @@ struct State {
     stands: Option<(f64, Duration)>,
     /// The goal of the step before, and whether it was changed by [`KICK_NM`].
     given: (f64, bool),
+    /// The goal is that of a component before this one, and its wires have said nothing yet.
+    is_left: bool,
 }
 
 /// The offsets of all joints.
@@ -143,7 +149,14 @@ impl JointOffsets {
     pub fn resume(&mut self, joint: usize, left: JointGoal) {
         let base_nm = f64::midpoint(left.min_nm, left.max_nm);
         if let Some(state) = self.states.get_mut(joint) {
-            *state = State { base_nm, offset_nm: left.offset_nm, ..State::default() };
+            let reference_nm = Some(left.reference_nm).filter(|it| it.is_finite());
+            *state = State {
+                base_nm,
+                offset_nm: left.offset_nm,
+                reference_nm,
+                is_left: true,
+                ..State::default()
+            };
         }
     }
 
@@ -161,6 +174,7 @@ impl JointOffsets {
             let Some(state) = self.states.get_mut(index) else { continue };
             // There is no other axis, and the servo thread checks no index.
             let axis = joint.axis.min(2);
+            state.land(reading);
             state.follow_reference(reading);
             state.hold(step.ready && !reading.homing, reading);
             if let (true, Some(goal)) = (state.follows, step.goal_nm) {
@@ -174,6 +188,7 @@ impl JointOffsets {
                 offset_nm: state.offset_nm + state.kick(reading),
                 min_nm: state.base_nm - max,
                 max_nm: state.base_nm + max,
+                reference_nm: state.reference_nm.unwrap_or(f64::NAN),
             };
             let acts = reading.now_nm - state.base_nm;
             if acts.abs() > applied.nm[axis].abs() {
@@ -189,6 +204,15 @@ impl JointOffsets {
 }
 
 impl State {
+    /// Stands where `moveoff` stands when it is known for the first time: it was stopped on its way to the goal that was left,
+    /// and the machine may be off now.
+    fn land(&mut self, reading: &JointReading) {
+        if self.is_left && reading.now_nm.is_finite() {
+            self.offset_nm = reading.now_nm;
+            self.is_left = false;
+        }
+    }
+
     /// Takes the offset that acts as the base when LinuxCNC has taken a new reference with it.
     fn follow_reference(&mut self, reading: &JointReading) {
         if !reading.reference_nm.is_finite() || !reading.now_nm.is_finite() {
@@ -250,215 +274,4 @@ fn within_limits(goal_nm: f64, joint: &JointSettings, reading: &JointReading) ->
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const JOINT: JointSettings = JointSettings {
-        number: 0,
-        axis: 2,
-        limits_nm: [-50e6, 50e6],
-        mm_per_s: 1.2,
-        mm_per_s2: 200.0,
-    };
-
-    /// A joint whose `moveoff` is at its goal at once.
-    struct World {
-        offsets: JointOffsets,
-        reading: JointReading,
-        applied: Applied,
-        goal: JointGoal,
-        ms: u64,
-        /// `moveoff` covers this share of the way to its goal in a step.
-        share: f64,
-    }
-
-    impl World {
-        fn new() -> Self {
-            let (offsets, goal) = (JointOffsets::default(), JointGoal::default());
-            let reading = JointReading::default();
-            Self { offsets, reading, applied: Applied::NOTHING, goal, ms: 0, share: 1.0 }
-        }
-
-        fn step(&mut self, ready: bool, z_nm: Option<i32>) -> f64 {
-            let (mut joints, mut readings) =
-                ([None; MAX_JOINTS], [JointReading::default(); MAX_JOINTS]);
-            (joints[3], readings[3]) = (Some(JOINT), self.reading);
-            self.ms += 1;
-            let now = Duration::from_millis(self.ms);
-            let goal_nm = z_nm.map(|z| [7, 8, z]);
-            let step = Step { now, ready, goal_nm, max_nm: [0, 0, 100_000] };
-            let (goals, applied) = self.offsets.step(&step, &joints, &readings);
-            (self.goal, self.applied) = (goals[3], applied);
-            self.reading.now_nm += self.share * (goals[3].offset_nm - self.reading.now_nm);
-            goals[3].offset_nm
-        }
-    }
-
-    #[test]
-    fn an_offset_is_held_while_the_machine_is_off_or_the_bridge_silent() {
-        let mut world = World::new();
-        assert_eq!(world.step(true, Some(40_000)), 40_000.0);
-        assert_eq!(world.step(true, Some(40_000)), 40_000.0);
-        assert!(world.applied.arrived && world.applied.nm == [0.0, 0.0, 40_000.0]);
-        assert_eq!(world.step(false, Some(0)), 40_000.0);
-        assert_eq!(world.step(true, None), 40_000.0);
-        world.reading.homing = true;
-        assert_eq!(world.step(true, Some(0)), 40_000.0);
-        world.reading.homing = false;
-        assert_eq!(world.step(true, Some(-1_000)), -1_000.0);
-    }
-
-    #[test]
-    fn the_offset_that_acted_at_homing_stays_under_those_that_follow() {
-        let mut world = World::new();
-        world.step(true, Some(40_000));
-        world.step(true, Some(40_000));
-        // The switch is found 40 um later by the feedback without the offset.
-        world.reading.reference_nm -= 40_000.0;
-        world.step(false, Some(40_000));
-        assert!(world.applied.at_zero, "counted from the new reference nothing acts");
-        assert_eq!(world.step(true, Some(40_000)), 80_000.0);
-        assert_eq!((world.goal.min_nm, world.goal.max_nm), (-60_000.0, 140_000.0));
-        world.step(true, Some(40_000));
-        assert_eq!(world.applied.nm[2], 40_000.0);
-        // The drive is where it was at the first homing: base + reference are the same.
-        assert_eq!(world.goal.offset_nm + world.reading.reference_nm, 40_000.0);
-    }
-
-    #[test]
-    fn the_drive_stays_within_the_joints_limits() {
-        let mut world = World::new();
-        for (command_nm, goal, allowed) in [
-            (49_990e3, 40_000, 10_000.0),
-            (-50e6, -40_000, 0.0),
-            (-50e6, 40_000, 40_000.0),
-            // Beyond the limit already: LinuxCNC has to bring it back, and no offset hurries it.
-            (50_001e3, 40_000, 0.0),
-            (50_001e3, -40_000, -40_000.0),
-        ] {
-            world.reading.command_nm = command_nm;
-            assert_eq!(world.step(true, Some(goal)), allowed, "{command_nm}");
-            assert_eq!(world.applied.limited, allowed != f64::from(goal));
-        }
-    }
-
-    #[test]
-    fn a_component_that_starts_again_goes_on_where_moveoff_stands() {
-        let mut world = World::new();
-        let left = JointGoal { offset_nm: 80_000.0, min_nm: -60_000.0, max_nm: 140_000.0 };
-        world.offsets.resume(3, left);
-        // Its pins are connected one after the other.
-        world.reading = JointReading::not_wired();
-        assert_eq!(world.step(true, Some(0)), 80_000.0);
-        assert!(!world.applied.at_zero && !world.applied.arrived, "nobody knows what acts");
-        world.reading =
-            JointReading { now_nm: 80_000.0, reference_nm: -5e6, ..JointReading::default() };
-        assert_eq!(world.step(true, None), 80_000.0);
-        assert_eq!((world.goal.min_nm, world.goal.max_nm), (-60_000.0, 140_000.0));
-        assert_eq!(world.applied.nm[2], 40_000.0);
-        assert_eq!(world.step(true, Some(0)), 40_000.0);
-    }
-
-    #[test]
-    fn held_is_the_offset_that_acts_and_not_its_goal() {
-        for is_homing in [false, true] {
-            let mut world = World::new();
-            world.share = 0.25;
-            world.step(true, Some(40_000));
-            world.reading.homing = is_homing;
-            // A quarter of the way acts.
-            assert_eq!(world.step(is_homing, Some(40_000)), 10_000.0, "{is_homing}");
-            assert_eq!(world.step(is_homing, Some(40_000)), 10_000.0, "{is_homing}");
-            world.reading.homing = false;
-            assert_eq!(world.step(true, Some(40_000)), 40_000.0, "{is_homing}");
-        }
-    }
-
-    /// `moveoff` at rest, with an acceleration of 200 nm a cycle², as LinuxCNC 2.9 computes.
-    struct Limiter {
-        goal_nm: f64,
-        now_nm: f64,
-        speed: f64,
-    }
-
-    impl Limiter {
-        fn step(&mut self, goal_nm: f64) {
-            const STEP: f64 = 200.0;
-            let stands = self.goal_nm.to_bits() == goal_nm.to_bits();
-            let to_go = goal_nm - self.now_nm;
-            self.goal_nm = goal_nm;
-            self.speed = if stands && to_go > STEP && self.speed <= 0.0 {
-                // The fault: down, and to rest again.
-                if self.speed == 0.0 { -STEP } else { 0.0 }
-            } else {
-                to_go.clamp(self.speed - STEP, self.speed + STEP).clamp(-1_200.0, 1_200.0)
-            };
-            self.now_nm += self.speed;
-        }
-    }
-
-    #[test]
-    fn moveoff_reaches_a_goal_above_it_from_rest_also_while_the_offset_is_held() {
-        for (goal, ready) in [(40_000, true), (-30_000, true), (100_000, true), (-30_000, false)] {
-            let mut world = World::new();
-            world.reading.now_nm = -30_000.0;
-            world.step(true, Some(goal));
-            let at = if ready { -99_000.0 } else { -30_000.0 };
-            world.reading.now_nm = at;
-            world.step(ready, Some(goal));
-            // It has overshot, and is at rest below.
-            let mut moveoff = Limiter { goal_nm: f64::from(goal), now_nm: -99_000.0, speed: 0.0 };
-            let mut least = 0.0_f64;
-            for _ in 0..2_000 {
-                world.share = 0.0;
-                world.reading.now_nm = moveoff.now_nm;
-                let goal_nm = world.step(ready, Some(goal));
-                moveoff.step(goal_nm);
-                least = least.min(moveoff.now_nm);
-            }
-            assert!(
-                (moveoff.now_nm - f64::from(goal)).abs() <= 2.0 * KICK_NM,
-                "{goal} {}",
-                moveoff.now_nm
-            );
-            assert!(least >= -99_400.0, "it went the wrong way: {least} nm");
-        }
-    }
-
-    #[test]
-    fn an_offset_that_goes_away_from_its_goal_is_not_taken() {
-        let mut world = World::new();
-        world.share = 0.0;
-        let steps = (0..3_000).find(|_| {
-            world.step(true, Some(40_000));
-            world.reading.now_nm -= 100.0;
-            world.applied.not_taken
-        });
-        assert_eq!(steps, Some(1_000));
-    }
-
-    #[test]
-    fn an_offset_that_moveoff_does_not_move_is_not_taken() {
-        let mut world = World::new();
-        world.share = 0.0;
-        let steps = (0..3_000).find(|_| {
-            world.step(true, Some(40_000));
-            world.applied.not_taken
-        });
-        assert_eq!(steps, Some(1_000));
-        world.step(false, Some(40_000));
-        assert!(!world.applied.not_taken, "held is no way to go");
-        // Slow is not lost.
-        let mut world = World::new();
-        world.share = 1e-4;
-        assert!((0..5_000).all(|_| {
-            world.step(true, Some(40_000));
-            !world.applied.not_taken
-        }));
-        world.share = 1.0;
-        for _ in 0..3_000 {
-            world.step(true, Some(40_000));
-        }
-        assert!(world.applied.arrived && !world.applied.not_taken);
-    }
-}
+mod tests;

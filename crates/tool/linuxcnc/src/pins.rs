@@ -27,6 +27,7 @@
 //! | `temp-NN` | float out | a temperature of the bridge in °C, by its channel; nan while it is not known |
 //! | `elongation-um` | float out | what the spindle's sensor reads, before reference and limits; nan while it is not known |
 //! | `joint-N-offset`, `-min`, `-max`, `-vel`, `-accel` | float out | to `moveoff`, where offsets enter at joint N |
+//! | `joint-N-kept` | float out | `joint.N.motor-offset` that the offset is counted from; its signal keeps it while the component is gone |
 //! | `joint-N-now` | float in | `offset-current` of `moveoff` |
 //! | `joint-N-cmd`, `joint-N-reference`, `joint-N-homing` | in | `joint.N.pos-cmd`, `joint.N.motor-offset`, `joint.N.homing` |
 //! | `heartbeat` | bit out | 10 Hz as long as the component lives and its wires are whole |
@@ -38,7 +39,7 @@ use trueup_core::{cnc::Conditions, dimensions::CONDITIONS};
 
 use crate::{
     component::{Inputs, Outputs},
-    configuration::wiring::LIMITER,
+    configuration::wiring::{LIMITER, kept_at},
     follower::Reading,
     hal::{Hal, HalError, Pin},
     joint::{JointGoal, JointReading, JointSettings, MAX_JOINTS},
@@ -51,10 +52,10 @@ const MM_PER_COUNT: f64 = 1e-6;
 const AXES: [&str; 3] = ["x", "y", "z"];
 /// No offset is as large, in machine units.
 const MAX_LIMIT: f64 = 1e6;
-/// Without the wire of one of these, of an axis' four and of a joint's nine, an offset no longer does what it says.
+/// Without the wire of one of these, of an axis' four and of a joint's ten, an offset no longer does what it says.
 const WIRES: [&str; 5] = ["machine-on", "homed", "scale", "enable-out", "heartbeat"];
 const AXIS_WIRES: [&str; 4] = ["cmd", "request", "eoffset", "counts"];
-const TO_JOINT: [&str; 5] = ["offset", "min", "max", "vel", "accel"];
+const TO_JOINT: [&str; 6] = ["offset", "min", "max", "vel", "accel", "kept"];
 /// The state of a joint is not known before all of these are connected.
 const OF_JOINT: [&str; 4] = ["now", "cmd", "reference", "homing"];
 
@@ -73,6 +74,7 @@ struct JointPins<'hal> {
     offset: Pin<'hal, f64>,
     min: Pin<'hal, f64>,
     max: Pin<'hal, f64>,
+    kept: Pin<'hal, f64>,
     now: Pin<'hal, f64>,
     command: Pin<'hal, f64>,
     reference: Pin<'hal, f64>,
@@ -302,6 +304,7 @@ impl<'hal> Pins<'hal> {
             joint.min.set(units(goal.min_nm));
             joint.max.set(units(goal.max_nm));
             joint.offset.set(units(goal.offset_nm));
+            joint.kept.set(units(goal.reference_nm));
         }
         self.applied.set(outputs.applied);
         self.connected.set(outputs.connected);
@@ -338,6 +341,10 @@ fn joint_pins<'hal>(
         let there = |pin: &str| hal.foreign::<f64>(&format!("{LIMITER}.offset-{pin}-{channel}"));
         let [offset, min, max] =
             [hal.output(&full("offset"))?, hal.output(&full("min"))?, hal.output(&full("max"))?];
+        // Read before it is set: the pin of a component that was killed is still on its signal.
+        let of_base = hal.foreign(&kept_at(settings.number)).unwrap_or(f64::NAN);
+        let kept = hal.output(&full("kept"))?;
+        kept.set(f64::NAN);
         let nm = |units: f64| units * mm_per_unit / MM_PER_COUNT;
         // The limits of a moveoff that no component has driven yet are 10²⁰.
         let driven = there("min")
@@ -347,7 +354,13 @@ fn joint_pins<'hal>(
             min.set(low);
             max.set(high);
             offset.set(goal);
-            JointGoal { offset_nm: nm(goal), min_nm: nm(low), max_nm: nm(high) }
+            kept.set(of_base);
+            JointGoal {
+                offset_nm: nm(goal),
+                min_nm: nm(low),
+                max_nm: nm(high),
+                reference_nm: nm(of_base),
+            }
         });
         hal.output::<f64>(&full("vel"))?.set(settings.mm_per_s / mm_per_unit);
         hal.output::<f64>(&full("accel"))?.set(settings.mm_per_s2 / mm_per_unit);
@@ -355,6 +368,7 @@ fn joint_pins<'hal>(
             offset,
             min,
             max,
+            kept,
             now: hal.input(&full("now"))?,
             command: hal.input(&full("cmd"))?,
             reference: hal.input(&full("reference"))?,

@@ -13,7 +13,7 @@ use trueup_linuxcnc::configuration::{
     install::{self, Change},
     installed::{Bridge, Installed},
 };
-use trueup_machine::BadInput;
+use trueup_machine::{BadInput, MachineFile};
 
 const INI: &str = include_str!("machine.ini");
 const HAL: &str = "\
@@ -34,6 +34,8 @@ const DEMAND: Demand = Demand {
     max_um: [200.0; 3],
     slew_um_per_s: 1_200.0,
     corrects_screw: Some([true; 3]),
+    inputs: Vec::new(),
+    sends_angles: false,
     no_board: None,
 };
 
@@ -223,6 +225,7 @@ fn hal_files_that_leave_no_place_are_refused_at_their_line() {
         ("loadrt moveoff names=mv\n", "share their variables"),
         ("loadrt offset count=2\n", "loads a module once"),
         ("loadrt oneshot names=a,b\n", "loads a module once"),
+        ("loadrt limit2 names=a\n", "loads a module once"),
         ("net held motion.feed-inhibit\n", "motion.feed-inhibit is on the signal held"),
         ("addf late servo-thread 99\n", "cannot be followed"),
         ("unlinkp joint.1.motor-pos-fb\n", "joint.1.motor-pos-fb is on no signal"),
@@ -237,7 +240,7 @@ fn hal_files_that_leave_no_place_are_refused_at_their_line() {
         assert_eq!(changes, [], "{more}: nothing is touched");
     }
     // The user's own lines make room.
-    let more = "loadrt offset names=trueup-j0,trueup-j1,trueup-j2,mine\nloadrt oneshot names=mine,trueup-alive\n";
+    let more = "loadrt offset names=trueup-j0,trueup-j1,trueup-j2,mine\nloadrt oneshot names=mine,trueup-alive,trueup-went\n";
     assert_eq!(Case::new(&whole(), &format!("{HAL}{more}")).check(&DEMAND).findings, []);
 }
 
@@ -253,9 +256,17 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
         // read, motion-command-handler, and then the feedback before motion-controller.
         "addf trueup-j0.update-feedback servo-thread 3",
         "addf trueup-j2.update-feedback servo-thread 5",
-        "addf trueup-mv.read-inputs servo-thread 7",
-        "addf trueup-mv.write-outputs servo-thread 8",
-        "addf trueup-j0.update-output servo-thread 9",
+        // What stops the offsets while the component is gone, before the limiter.
+        "addf trueup-j0-go servo-thread 7",
+        "addf trueup-j0-speed servo-thread 10",
+        "addf trueup-mv.read-inputs servo-thread 13",
+        "addf trueup-mv.write-outputs servo-thread 14",
+        "addf trueup-j0.update-output servo-thread 15",
+        "net trueup-lives => trueup-j1-go.sel0",
+        "setp trueup-j1-go.in0 0",
+        "net trueup-j1-go trueup-j1-go.out => trueup-j1-speed.in",
+        "net trueup-j1-speed trueup-j1-speed.out => trueup-mv.offset-vel-1",
+        "net trueup-lives trueup-alive.out => trueup-went.in",
         "unlinkp joint.0.motor-pos-cmd",
         "net trueup-j0-cmd joint.0.motor-pos-cmd => trueup-j0.in",
         "net x-pos trueup-j0.out",
@@ -274,6 +285,50 @@ fn setup_puts_the_offset_between_command_and_drive_in_the_order_of_the_thread() 
         ["HALFILE = machine.hal", "HALFILE = trueup_realtime.hal", "HALFILE = trueup.hal"]
     );
     assert_eq!(Installed::of(&case.read().0).map(|it| it.entry), Some(Entry::Joint));
+}
+
+#[test]
+fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
+    const MACHINE: &str = "\
+        [machine]\nname = \"m\"\nkind = \"head-head\"\nhead_axes = [\"c\", \"a\"]\n\
+        [inputs]\ncoolant = { kind = \"condition\", bit = 3 }\n\
+        [spindle]\nsource = \"warmup\"\n[spindle.warmup]\nlag_s = 60.0\nwarm_s = 5400.0\nmax_um = 80.0\nexponent = 4.0\n";
+    let machine = MachineFile::parse(MACHINE, Path::new("m.toml")).expect("a machine file");
+    let demand = |entry| Demand::of(entry, Some(&machine));
+    // Nothing brings them: each is named, with a pin that may give it.
+    let report = Case::new(&whole(), HAL).check(&demand(Entry::Joint));
+    let said: Vec<String> =
+        report.findings.iter().map(|it| format!("{} {}", it.what, it.help)).collect();
+    for (signal, pin) in [
+        ("trueup-condition-03", "iocontrol.0.coolant-flood"),
+        ("trueup-tool", "iocontrol.0.tool-number"),
+        ("trueup-angle-1", "axis.c.pos-cmd"),
+        ("trueup-angle-2", "axis.a.pos-cmd"),
+    ] {
+        assert!(
+            said.iter().any(|it| it.contains(signal) && it.contains(pin)),
+            "{signal}: {said:?}"
+        );
+    }
+    assert!(said.len() == 4 && report.is_usable(), "{said:?}");
+    let own = "net trueup-condition-03 drive.flood\nnet trueup-tool iocontrol.0.tool-number\n\
+        net trueup-angle-1 axis.c.pos-cmd\nnet trueup-angle-2 axis.a.pos-cmd\nnet trueup-service drive.key\n";
+    for entry in [Entry::Joint, Entry::Eoffset] {
+        let case = Case::new(&whole(), &format!("{HAL}{own}"));
+        assert_eq!(case.check(&demand(entry)).findings, []);
+        Case::write(&case.set_up(&demand(entry)).expect("reads").1);
+        let files = case.files();
+        let text = &files.iter().find(|it| it.0 == "trueup.hal").expect("written").1;
+        for line in [
+            "net trueup-condition-03 => trueup.0.condition-03\n",
+            "net trueup-tool => trueup.0.tool\n",
+            "net trueup-angle-1 => trueup.0.angle-1\n",
+            "net trueup-service => trueup.0.service\n",
+            " --position-period-ms [TRUEUP](POSITION_PERIOD_MS) --rotary --machine ",
+        ] {
+            assert!(text.contains(line), "{line}\n{text}");
+        }
+    }
 }
 
 /// Returns the text of a file that setup writes.

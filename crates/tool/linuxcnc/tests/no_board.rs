@@ -74,6 +74,26 @@ fn demand(entry: Entry) -> Demand {
     Demand { no_board, ..Demand::of(entry, Some(&machine())) }
 }
 
+#[test]
+fn a_machine_file_with_heat_says_how_the_first_start_is_confirmed() {
+    const WARM_UP: &str = "[machine]\nname = \"m\"\nkind = \"3-axis\"\n[spindle]\nsource = \"warmup\"\n\
+        [spindle.warmup]\nlag_s = 60.0\nwarm_s = 5400.0\nmax_um = 80.0\nexponent = 4.0\n";
+    let facts = |text: &str, more: &str| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("machine.ini");
+        fs::write(&path, ini()).expect("writes");
+        fs::write(folder.path().join("machine.hal"), hal() + more).expect("writes");
+        let ini = IniLines::read(&path).expect("reads");
+        let machine = MachineFile::parse(text, Path::new("m.toml")).expect("a machine file");
+        let no_board = Some(NoBoard::of(&machine).expect("compiles"));
+        let demand = Demand { no_board, ..Demand::of(Entry::Joint, Some(&machine)) };
+        let facts = check(&ini, &HalFiles::read(&ini).expect("reads"), &demand).facts;
+        facts.iter().any(|it| it.contains("halcmd setp trueup.0.confirm 1"))
+    };
+    assert!(facts(WARM_UP, "") && !facts(WARM_UP, "net trueup-confirm panel.cold\n"));
+    assert!(!facts(MACHINE, ""), "without heat there is nothing to confirm");
+}
+
 /// Returns the report's warnings and what setup writes into a file.
 fn written(ini_text: &str, entry: Entry, file: &str) -> (Vec<String>, Vec<u8>) {
     let folder = tempfile::tempdir().expect("a folder");
@@ -118,12 +138,13 @@ fn at_the_joint_the_node_runs_between_the_motion_controller_and_the_limiter() {
     assert!(
         at("addf trueup-j4.update-feedback servo-thread 5") < at("addf trueup.0 servo-thread 7")
     );
-    assert!(at("addf trueup.0 servo-thread 7") < at("addf trueup-mv.read-inputs servo-thread 8"));
+    assert!(at("addf trueup.0 servo-thread 7") < at("addf trueup-mv.read-inputs servo-thread 16"));
     for line in [
         "setp trueup.0.mm-per-unit 1\n",
         "setp trueup.0.joint-3-min-limit -103\n",
         "setp trueup.0.y-against-um 6\n",
-        "setp trueup-mv.offset-vel-0 1\n",
+        "setp trueup-j1-go.in1 1\n",
+        "setp trueup-j1-speed.maxv 200\n",
         "setp trueup-mv.offset-accel-3 200\n",
     ] {
         at(line);

@@ -1,4 +1,5 @@
-//! The bridge in the loop: the same firmware, as the image for the emulator or as the one that is flashed.
+//! The bridge in the loop: the same firmware, as the image for the emulator or as the one that is flashed; or none, where
+//! LinuxCNC's servo thread is the bridge, and gets volts and degrees by its own `streamer`, a line a millisecond.
 //!
 //! | | QEMU | model of the chip |
 //! |---|---|---|
@@ -15,8 +16,8 @@
 use std::{
     collections::BTreeMap,
     io::{Read as _, Write as _},
-    net::{Shutdown, TcpStream},
-    path::PathBuf,
+    net::{Shutdown, TcpListener, TcpStream},
+    path::{Path, PathBuf},
     thread,
     time::{Duration, Instant},
 };
@@ -47,6 +48,8 @@ pub enum Images {
     Qemu(PathBuf, [Vec<u8>; 2]),
     /// On the model of the chip: its program, and both images.
     Chip(PathBuf, [PathBuf; 2]),
+    /// Without a board: the library of the component.
+    Servo(PathBuf),
 }
 
 /// How it is wired to the machine.
@@ -72,6 +75,12 @@ enum Board {
         later: PathBuf,
         board: LiveChip,
         slower: u32,
+    },
+    Servo {
+        library: PathBuf,
+        listener: TcpListener,
+        client: Option<TcpStream>,
+        front_end: Box<FrontEnd>,
     },
 }
 
@@ -100,24 +109,48 @@ impl Bridge {
                 let slower = measure(&mut board)?;
                 Board::Chip { model, later, board, slower }
             }
+            Images::Servo(library) => {
+                let listener = TcpListener::bind("127.0.0.1:0")?;
+                listener.set_nonblocking(true)?;
+                let front_end = Box::new(FrontEnd::new(wiring.divider, wiring.seed));
+                Board::Servo { library, listener, client: None, front_end }
+            }
         };
         Ok(Self { board, wiring })
     }
 
-    /// Where the CNC finds it.
-    #[must_use]
-    pub fn address(&self) -> String {
-        match &self.board {
+    /// Where the CNC finds it; without a board, where its inputs come from.
+    ///
+    /// # Errors
+    /// It listens nowhere.
+    pub fn address(&self) -> Result<String> {
+        Ok(match &self.board {
             Board::Qemu { adapter, .. } => adapter.address(),
             Board::Chip { board, .. } => format!("tcp:127.0.0.1:{}", board.port()),
+            Board::Servo { listener, .. } => format!("tcp:{}", listener.local_addr()?),
+        })
+    }
+
+    /// Returns the library of the component, where there is no board.
+    #[must_use]
+    pub fn library(&self) -> Option<&Path> {
+        match &self.board {
+            Board::Servo { library, .. } => Some(library),
+            Board::Qemu { .. } | Board::Chip { .. } => None,
         }
+    }
+
+    /// Returns the channels of the thermometers, in the order in which [`Bridge::live`] gives them where there is no board.
+    #[must_use]
+    pub fn channels(&self) -> Vec<u8> {
+        self.wiring.temperatures.values().map(|input| input.channel).collect()
     }
 
     /// Returns a second of the board, in seconds of the wall, while the axes move.
     #[must_use]
     pub fn slower(&self) -> u32 {
         match self.board {
-            Board::Qemu { .. } => 1,
+            Board::Qemu { .. } | Board::Servo { .. } => 1,
             Board::Chip { slower, .. } => slower,
         }
     }
@@ -129,6 +162,7 @@ impl Bridge {
         match self.board {
             Board::Qemu { .. } => [f64::from(factor), 1.0],
             Board::Chip { slower, .. } => [1.0 / f64::from(slower), f64::from(factor)],
+            Board::Servo { .. } => [1.0, f64::from(factor)],
         }
     }
 
@@ -178,7 +212,36 @@ impl Bridge {
                 }
                 Ok(())
             }
+            Board::Servo { listener, client, front_end, .. } => {
+                if client.is_none() {
+                    *client = listener.accept().ok().map(|it| it.0);
+                }
+                let Some(to) = client else { return Ok(()) };
+                let named = self.wiring.temperatures.keys().filter_map(|name| celsius.get(name));
+                let degrees: String = named.map(|celsius| format!(" {celsius:.3}")).collect();
+                let mut lines = String::new();
+                for _ in 0..ms {
+                    let volts = volts();
+                    let codes = front_end.block(|_| volts);
+                    let mean = codes.iter().map(|code| f64::from(code.0)).sum::<f64>()
+                        / codes.len() as f64;
+                    let seen =
+                        mean / f64::from(Code::FULL_SCALE) * REFERENCE_VOLTS / self.wiring.divider;
+                    lines += &format!("{seen:.6}{degrees}\n");
+                }
+                // It ends before the machine does; while it runs, a sensor that stands is a fault of the figures.
+                if to.write_all(lines.as_bytes()).is_err() {
+                    *client = None;
+                }
+                Ok(())
+            }
         }
+    }
+
+    /// Returns whether its time begins with that of LinuxCNC: what is said before would be late for good.
+    #[must_use]
+    pub fn waits_for_cnc(&self) -> bool {
+        matches!(self.board, Board::Servo { .. })
     }
 
     /// Returns whether the CNC has sent something within `time`, where that is known.
@@ -186,7 +249,7 @@ impl Bridge {
     pub fn has_received_within(&self, time: Duration) -> bool {
         match &self.board {
             Board::Qemu { adapter, .. } => adapter.has_received_within(time),
-            Board::Chip { .. } => true,
+            Board::Chip { .. } | Board::Servo { .. } => true,
         }
     }
 
@@ -207,6 +270,8 @@ impl Bridge {
                 let board = begin(LiveChip::start(&model, &later, port)?)?;
                 Board::Chip { model, later, board, slower }
             }
+            // LinuxCNC reads its machine file once.
+            it @ Board::Servo { .. } => it,
         };
         Ok(Self { board, ..self })
     }
@@ -217,6 +282,7 @@ impl Bridge {
         match &self.board {
             Board::Qemu { board, .. } => board.take_log(),
             Board::Chip { board, .. } => board.take_log(),
+            Board::Servo { .. } => Vec::new(),
         }
     }
 
@@ -229,6 +295,7 @@ impl Bridge {
         match self.board {
             Board::Qemu { adapter, .. } => Ok(Some(adapter.traffic())),
             Board::Chip { board, .. } => board.end().map(|()| None),
+            Board::Servo { .. } => Ok(None),
         }
     }
 }

@@ -12,7 +12,7 @@
 
 use std::fmt::Write as _;
 
-use super::plant::PINS;
+use super::{By, plant::PINS};
 
 /// The travel of X, Y and Z in mm, from 0.
 pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
@@ -53,22 +53,29 @@ pub mod phase {
 /// How often the position of a moving axis is sent, in ms of the board.
 const POSITION_PERIOD_MS: u32 = 2;
 
-/// Returns the .ini. `port` is where the bridge is; `here` is the session's folder. A busy computer answers late, so
+/// Returns the .ini. `port` is where the bridge is, `None`: setup adds what is ours; `here` is the session's folder. A busy computer answers late, so
 /// LinuxCNC's parts wait for each other.
 #[must_use]
-pub fn ini(port: &str, here: &str, slower: u32) -> String {
+pub fn ini(port: Option<&str>, here: &str, slower: u32) -> String {
     let slow = f64::from(slower);
+    let period_ms = POSITION_PERIOD_MS * slower;
+    let section = port.map_or(String::new(), |port| {
+        format!(
+            "[TRUEUP]\nPORT = {port}\nMACHINE = {here}/machine.toml\nPOSITION_PERIOD_MS = {period_ms}\n"
+        )
+    });
+    let files: &[&str] = match port {
+        Some(_) => &["machine.hal", "trueup_watchdog.hal", "trueup.hal", "loop.hal"],
+        None => &["machine.hal"],
+    };
+    let files: String = files.iter().map(|name| format!("HALFILE = {here}/{name}\n")).collect();
     let mut text = format!(
         "\
 [EMC]
 VERSION = 1.1
 MACHINE = trueup-loop
 DEBUG = 0
-[TRUEUP]
-PORT = {port}
-MACHINE = {here}/machine.toml
-POSITION_PERIOD_MS = {period_ms}
-[DISPLAY]
+{section}[DISPLAY]
 DISPLAY = {here}/screen.sh
 [RS274NGC]
 PARAMETER_FILE = {here}/loop.var
@@ -80,11 +87,7 @@ SERVO_PERIOD = 1000000
 TASK = milltask
 CYCLE_TIME = 0.001
 [HAL]
-HALFILE = {here}/machine.hal
-HALFILE = {here}/trueup_watchdog.hal
-HALFILE = {here}/trueup.hal
-HALFILE = {here}/loop.hal
-[TRAJ]
+{files}[TRAJ]
 COORDINATES = XYZAC
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
@@ -102,7 +105,6 @@ MAX_FORWARD_VELOCITY = 24000
 ",
         500.0 / slow,
         1_100.0 / slow,
-        period_ms = POSITION_PERIOD_MS * slower,
     );
     let motion = |velocity: f64, acceleration: f64| {
         let (velocity, acceleration) = (velocity / slow, acceleration / (slow * slow));
@@ -111,11 +113,14 @@ MAX_FORWARD_VELOCITY = 24000
     let speeds = [1_000.0, 1_000.0, 600.0];
     for (joint, (axis, travel_mm)) in ["X", "Y", "Z"].iter().zip(TRAVEL_MM).enumerate() {
         let motion = motion(speeds[joint], 2_000.0);
+        let ratio = match port {
+            Some(_) => format!("OFFSET_AV_RATIO = {OFFSET_AV_RATIO}\n"),
+            None => String::new(),
+        };
         // An offset moves the joint beyond what was commanded: its limits leave room for it.
         let _ = write!(
             text,
-            "[AXIS_{axis}]\nMIN_LIMIT = -5\nMAX_LIMIT = {}\n{motion}OFFSET_AV_RATIO = \
-             {OFFSET_AV_RATIO}\n[JOINT_{joint}]\nTYPE = LINEAR\nMIN_LIMIT = -10\nMAX_LIMIT = {}\n\
+            "[AXIS_{axis}]\nMIN_LIMIT = -5\nMAX_LIMIT = {}\n{motion}{ratio}[JOINT_{joint}]\nTYPE = LINEAR\nMIN_LIMIT = -10\nMAX_LIMIT = {}\n\
              {motion}{JOINT}",
             travel_mm + 5.0,
             travel_mm + 10.0,
@@ -174,14 +179,29 @@ pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
     shipped.replacen(period, &format!("--any-calibration --rotary {slew}{period}"), 1)
 }
 
-/// Returns the angles and the load for the bridge, and the writer of the servo cycles.
+/// The angles and the load, by the names that setup looks for.
+pub const ANGLES: [&str; 3] = [
+    "trueup-angle-1 axis.c.pos-cmd",
+    "trueup-angle-2 axis.a.pos-cmd",
+    "trueup-load motion.analog-out-00",
+];
+
+/// Returns the angles and the load for the bridge.
 #[must_use]
-pub fn loop_hal() -> String {
+pub fn angles_hal() -> String {
+    let to = ["angle-1", "angle-2", "load-n"];
+    ANGLES.iter().zip(to).map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n")).collect()
+}
+
+/// Returns the writer of the servo cycles.
+#[must_use]
+pub fn loop_hal(by: By) -> String {
+    let offsets = match by {
+        By::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
+        By::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],
+    };
     let mut text = format!(
         "\
-net head-1 axis.c.pos-cmd => trueup.0.angle-1
-net head-2 axis.a.pos-cmd => trueup.0.angle-2
-net load motion.analog-out-00 => trueup.0.load-n
 loadrt sampler depth=16000 cfg={}
 addf sampler.0 servo-thread
 ",
@@ -194,11 +214,11 @@ addf sampler.0 servo-thread
         "joint-2",
         "joint-4",
         "joint-3",
-        "trueup-x-eoff",
-        "trueup-y-eoff",
-        "trueup-z-eoff",
+        offsets[0],
+        offsets[1],
+        offsets[2],
         "trueup-rpm",
-        "load",
+        "trueup-load",
     ];
     for (number, pin) in PINS.iter().enumerate() {
         let _ = match signals.get(number) {
@@ -299,7 +319,7 @@ mod tests {
 
     #[test]
     fn every_pin_is_wired_once() {
-        let text = loop_hal();
+        let text = loop_hal(By::Eoffset);
         for number in 0..PINS.len() {
             let pin = format!("sampler.0.pin.{number}\n");
             assert_eq!(text.matches(&pin).count(), 1, "{pin}");

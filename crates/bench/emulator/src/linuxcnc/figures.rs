@@ -28,15 +28,15 @@ use measure::{
 };
 
 use super::{
-    COMPRESSION, On, PASSES, WARM_UP_S, adapter,
+    By, COMPRESSION, On, PASSES, WARM_UP_S, Way, adapter,
     config::{OFFSET_AV_RATIO, phase},
     plant::{Account, Cycle},
 };
 
 /// The record of the run.
 pub struct Run {
-    /// The processor that ran the firmware.
-    pub on: On,
+    /// The way from the machine to the drives.
+    pub way: Way,
     /// A second of the board in motion, in seconds of the wall.
     pub slower: u32,
     /// All servo cycles.
@@ -141,8 +141,8 @@ pub struct Time {
 /// All of it.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Figures {
-    /// The processor that ran the firmware.
-    pub board: On,
+    /// The way from the machine to the drives.
+    pub way: Way,
     /// The claim.
     pub checks: Vec<Check>,
     /// Across the diagonal.
@@ -292,13 +292,13 @@ impl Figures {
         let five = part(2, phase::FIVE_AXES)?;
         let growth_um = least_growth_um(&five);
         let checks = checks(run, &diagonal, &lag, &stairs, &warm_up, &five);
-        let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.on {
+        let [limits_longer_by, constants_shorter_by, pairs_passed_one_in] = match run.way.on {
             On::Qemu => [COMPRESSION, 1, adapter::COMPRESSED_STRIDE],
-            On::Chip => [1, COMPRESSION, 1],
+            On::Chip | On::Servo => [1, COMPRESSION, 1],
         };
         let Account { board_ms, slipped_ms, lost_samples, traffic } = run.account;
         Ok(Self {
-            board: run.on,
+            way: run.way,
             checks,
             arc_radial_um: [radial(&arc_before), radial(&arc_after)],
             arc_z_um: [&arc_before, &arc_after]
@@ -319,7 +319,10 @@ impl Figures {
                 wall_s: run.wall_s,
             },
             slew_um_per_s: run.slew_um_per_s,
-            offset_av_ratio: OFFSET_AV_RATIO,
+            offset_av_ratio: match run.way.by {
+                By::Eoffset => OFFSET_AV_RATIO,
+                By::Joint => 0.0,
+            },
             largest_step_um: largest_step_um(&run.cycles),
             cycles: [run.cycles.len() as u64, lost_samples],
             frames: traffic.map(|(pairs, frames)| [pairs, frames]),

@@ -29,9 +29,13 @@
 //! The motion is slower by it (see [`config`]) and every figure is taken in the board's time. The board
 //! itself cannot be hurried, so in the warm-up the machine is: it lives [`COMPRESSION`] seconds in one
 //! of the board, whose machine file has time constants as many times shorter. No limit of anybody is other.
+//!
+//! Without a board it is the same: the servo thread is in real time, and the machine file has short time constants from the
+//! start, because LinuxCNC reads it once. While the axes move the machine is cold, and they decide nothing.
 
 pub mod adapter;
 pub mod bridge;
+mod by_setup;
 pub mod config;
 pub mod figures;
 pub mod headless;
@@ -52,6 +56,7 @@ use anyhow::{Context as _, Result, ensure};
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use serde_json::json;
 use trueup_machine::{Machine, MachineFile, compile};
 use trueup_twin::machine::Machine as Twin;
 
@@ -81,15 +86,45 @@ pub enum On {
     Qemu,
     /// The image that is flashed, on the model of its chip: several times slower.
     Chip,
+    /// No board: the bridge runs in LinuxCNC's servo thread.
+    Servo,
 }
 
-impl On {
+/// Where the offsets enter LinuxCNC.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum By {
+    /// As external offsets, by the HAL files of `integrations/linuxcnc`.
+    #[default]
+    Eoffset,
+    /// Between joint and drive, as `trueup linuxcnc setup` writes it.
+    Joint,
+}
+
+/// A way from the machine to LinuxCNC's drives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Way {
+    /// Where the bridge runs.
+    pub on: On,
+    /// Where its offsets enter.
+    pub by: By,
+}
+
+impl Way {
     /// Where the page and the figures go.
-    fn folder(self) -> &'static str {
-        match self {
-            Self::Qemu => "target/linuxcnc",
-            Self::Chip => "target/linuxcnc-chip",
-        }
+    fn folder(self) -> String {
+        let on = match self.on {
+            On::Qemu => "",
+            On::Chip => "-chip",
+            On::Servo => "-servo",
+        };
+        let by = if self.by == By::Joint { "-joint" } else { "" };
+        format!("target/linuxcnc{on}{by}")
+    }
+
+    /// Returns whether `trueup linuxcnc setup` writes the HAL files.
+    fn is_set_up(self) -> bool {
+        self.on == On::Servo || self.by == By::Joint
     }
 }
 
@@ -108,7 +143,8 @@ const SEED: u64 = 77;
 ///
 /// # Errors
 /// Something does not run. What is not reached is not an error here: [`Figures::check`] says it.
-pub fn run(on: On) -> Result<Option<Figures>> {
+pub fn run(way: Way) -> Result<Option<Figures>> {
+    let on = way.on;
     let started = Instant::now();
     let Some(control) = setup::linuxcnc()? else { return Ok(None) };
     let bar = ProgressBar::new_spinner();
@@ -125,26 +161,7 @@ pub fn run(on: On) -> Result<Option<Figures>> {
         bar.set_message(what.to_owned());
     };
 
-    tell("building the firmware and the host tool");
-    let trueup = programs::trueup()?;
-    let firmware = match on {
-        On::Qemu => Some(firmware::build(Board::Virtual)?),
-        On::Chip => chip::build()?,
-    };
-    // The image, or the program that is the chip.
-    let Some(firmware) = firmware else { return Ok(None) };
-    tell("measuring the machine, fitting its machine file");
-    let measured = {
-        let work = tempfile::tempdir()?;
-        measured::measure(&trueup, work.path())?
-    };
-    let images = match on {
-        On::Qemu => Images::Qemu(firmware, blobs(&measured)?),
-        On::Chip => {
-            tell("building the images of this machine");
-            Images::Chip(firmware, images(&measured)?)
-        }
-    };
+    let Some((trueup, measured, images)) = prepared(way, &tell)? else { return Ok(None) };
 
     tell("starting the bridge and LinuxCNC");
     let twin = measured::twin()?;
@@ -157,8 +174,8 @@ pub fn run(on: On) -> Result<Option<Figures>> {
     if slower > 1 {
         tell(&format!("a second of the board is given {slower} of the wall, and so is the CNC's"));
     }
-    let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED));
-    let mut cnc = start(&trueup, &plant, &measured, control)?;
+    let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
+    let mut cnc = start(&trueup, &plant, &measured, way, control)?;
     let (sampler, cycles) = cnc.sample()?;
     plant.listen(cycles);
     cnc.switch_on()?;
@@ -172,9 +189,14 @@ pub fn run(on: On) -> Result<Option<Figures>> {
     cut(&mut cnc, &mut plant, "path-2.ngc")?;
 
     tell(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
-    plant.swap();
-    thread::sleep(Duration::from_secs(2) * slower);
+    // Without a board the machine file is that of the warm-up from the start.
+    if on != On::Servo {
+        plant.swap();
+        thread::sleep(Duration::from_secs(2) * slower);
+    }
     engaged(&mut cnc, &mut plant)?;
+    // Its HAL files say that the bridge was away.
+    cnc.ask(&json!({ "do": "stat" }))?;
     let warm_up = Instant::now();
     warm_up_phase(&mut cnc, &mut plant)?;
     let warm_up_wall_s = warm_up.elapsed().as_secs_f64();
@@ -184,9 +206,14 @@ pub fn run(on: On) -> Result<Option<Figures>> {
         ensure!(warm_up.elapsed() < PATIENCE * SLOWEST * slower, "the program does not end");
         thread::sleep(Duration::from_millis(50));
     }
-    let names = ["crc-errors", "seq-errors", "lost", "malformed", "fault"];
-    let pins = names.map(|name| format!("trueup.0.{name}"));
-    let errors = cnc.pins(&pins.each_ref().map(String::as_str))?;
+    // Without a board there is no line.
+    let of_line: &[&str] = match on {
+        On::Servo => &[],
+        On::Qemu | On::Chip => &["crc-errors", "seq-errors", "lost", "malformed"],
+    };
+    let names = [of_line, &["fault"]].concat();
+    let pins: Vec<String> = names.iter().map(|name| format!("trueup.0.{name}")).collect();
+    let errors = cnc.pins(&pins.iter().map(String::as_str).collect::<Vec<_>>())?;
     tell("ending");
     drop(sampler);
     cnc.end()?;
@@ -194,12 +221,12 @@ pub fn run(on: On) -> Result<Option<Figures>> {
     let (cycles, account) = plant.finish()?;
     bar.finish_and_clear();
     let run = Run {
-        on,
+        way,
         slower,
         cycles,
         account,
         warm_up_wall_s,
-        errors: names.map(str::to_owned).into_iter().zip(errors).collect(),
+        errors: names.into_iter().map(str::to_owned).zip(errors).collect(),
         machine_file: measured.text,
         findings: measured.findings,
         slew_um_per_s: measured.machine.limits.slew_um_per_s,
@@ -209,23 +236,50 @@ pub fn run(on: On) -> Result<Option<Figures>> {
     Figures::of(&run).map(Some)
 }
 
-/// Runs it, writes `target/linuxcnc/` or `target/linuxcnc-chip/`, and prints the figures.
+/// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
+fn prepared(way: Way, tell: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured, Images)>> {
+    tell("building the firmware and the host tool");
+    let trueup = programs::trueup()?;
+    // The image, the program that is the chip, or the library of the component.
+    let firmware = match way.on {
+        On::Qemu => Some(firmware::build(Board::Virtual)?),
+        On::Chip => chip::build()?,
+        On::Servo => Some(programs::servo_library()?),
+    };
+    let Some(firmware) = firmware else { return Ok(None) };
+    tell("measuring the machine, fitting its machine file");
+    let measured = {
+        let work = tempfile::tempdir()?;
+        measured::measure(&trueup, work.path())?
+    };
+    let images = match way.on {
+        On::Qemu => Images::Qemu(firmware, blobs(&measured)?),
+        On::Chip => {
+            tell("building the images of this machine");
+            Images::Chip(firmware, images(&measured, &way.folder())?)
+        }
+        On::Servo => Images::Servo(firmware),
+    };
+    Ok(Some((trueup, measured, images)))
+}
+
+/// Runs it, writes `target/linuxcnc/`, or `-chip`, `-servo`, `-joint` behind that, and prints the figures.
 ///
 /// # Errors
 /// It does not run, or a figure is not reached; with the figure.
-pub fn run_and_publish(on: On) -> Result<Option<u32>> {
-    let Some(figures) = run(on)? else {
+pub fn run_and_publish(way: Way) -> Result<Option<u32>> {
+    let Some(figures) = run(way)? else {
         trueup_output::line(
             "skipped: there is no package of LinuxCNC, or the compiler is too old for the chip",
         );
         return Ok(None);
     };
-    let folder = setup::root().join(on.folder());
+    let shown = way.folder();
+    let folder = setup::root().join(&shown);
     fs::create_dir_all(&folder)?;
     fs::write(folder.join("summary.json"), serde_json::to_string_pretty(&figures)? + "\n")?;
     fs::write(folder.join("report.html"), page::page(&figures))?;
     trueup_output::line(figures.table());
-    let shown = on.folder();
     trueup_output::line(format_args!(
         "\nThe picture: {shown}/report.html   The figures: {shown}/summary.json"
     ));
@@ -243,8 +297,8 @@ fn blobs(measured: &Measured) -> Result<[Vec<u8>; 2]> {
 }
 
 /// Returns the images for the machine, and for the same machine that lives faster, which differ in the time constants.
-fn images(measured: &Measured) -> Result<[PathBuf; 2]> {
-    let folder = setup::root().join(On::Chip.folder());
+fn images(measured: &Measured, folder: &str) -> Result<[PathBuf; 2]> {
+    let folder = setup::root().join(folder);
     fs::create_dir_all(&folder)?;
     let image = |name: &str, text: &str| -> Result<PathBuf> {
         let machine = folder.join(name).with_extension("toml");
@@ -259,37 +313,47 @@ fn start(
     trueup: &Path,
     plant: &Plant,
     measured: &Measured,
+    way: Way,
     control: setup::LinuxCnc,
 ) -> Result<Headless> {
     let (slower, slew_um_per_s) = (plant.slower(), measured.machine.limits.slew_um_per_s);
     let folder = Headless::new_folder()?;
     fs::copy(trueup, folder.path().join("trueup"))?;
+    if way.is_set_up() {
+        return by_setup::start(plant, measured, way, folder, control);
+    }
     let here = folder.path().to_str().context("a temporary folder has a plain name")?.to_owned();
     let sample =
         |name: &str| fs::read_to_string(setup::root().join("integrations/linuxcnc").join(name));
     let texts = [
-        ("loop.ini", config::ini(plant.address(), &here, slower)),
+        ("loop.ini", config::ini(Some(plant.address()), &here, slower)),
         ("machine.hal", config::machine_hal()),
         ("trueup_watchdog.hal", sample("trueup_watchdog.hal")?),
         ("trueup.hal", config::trueup_hal(&sample("trueup.hal")?, slew_um_per_s, slower)),
-        ("loop.hal", config::loop_hal()),
+        ("loop.hal", config::angles_hal() + &config::loop_hal(By::Eoffset)),
         ("machine.toml", measured.text.clone()),
+    ];
+    for (name, text) in texts.into_iter().chain(programs_of(slower)) {
+        fs::write(folder.path().join(name), text)?;
+    }
+    Headless::start(folder, "loop.ini", control)
+}
+
+/// Returns the programs and the table of tools.
+fn programs_of(slower: u32) -> [(&'static str, String); 4] {
+    [
         ("loop.tbl", String::new()),
         ("path-1.ngc", config::path(PASSES[0], slower)),
         ("path-2.ngc", config::path(PASSES[1], slower)),
         ("warm.ngc", config::warm(PASSES[2], slower)),
-    ];
-    for (name, text) in texts {
-        fs::write(folder.path().join(name), text)?;
-    }
-    Headless::start(folder, "loop.ini", control)
+    ]
 }
 
 /// Runs a program to its end.
 fn cut(cnc: &mut Headless, plant: &mut Plant, program: &str) -> Result<()> {
     cnc.begin(program)?;
     let begun = Instant::now();
-    while cnc.is_busy()? {
+    while cnc.is_busy().with_context(|| cnc.said())? {
         plant.check()?;
         let patience = PATIENCE * plant.slower();
         ensure!(begun.elapsed() < patience, "{program} is not done after {patience:?}");

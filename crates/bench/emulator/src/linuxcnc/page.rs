@@ -3,7 +3,7 @@
 use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
 
 use super::{
-    On,
+    By, On,
     figures::{Check, ErrorCurve, Figures, Stair},
 };
 
@@ -13,11 +13,16 @@ pub fn page(figures: &Figures) -> String {
     let mut page = Page::new("Where the tool tip really was, without and with the bridge");
     verdict(&mut page, &figures.checks);
     page.text(&format!(
-        "A real LinuxCNC drives a virtual gantry of 14.3 × 3 × 2.5 m; the bridge's real firmware, {}, corrects it through LinuxCNC's external offsets. The machine file was made by \
+        "A real LinuxCNC drives a virtual gantry of 14.3 × 3 × 2.5 m; the bridge's real {}, corrects it {}. The machine file was made by \
          measuring the virtual machine and fitting, as on a real one. {} servo cycles were looked at.",
-        match figures.board {
-            On::Qemu => "on an emulated board",
-            On::Chip => "as it is flashed, on the model of its chip",
+        match figures.way.on {
+            On::Qemu => "firmware, on an emulated board",
+            On::Chip => "firmware, as it is flashed, on the model of its chip",
+            On::Servo => "component without a board, in the servo thread",
+        },
+        match figures.way.by {
+            By::Eoffset => "through LinuxCNC's external offsets",
+            By::Joint => "between LinuxCNC's joints and their drives",
         },
         figures.cycles[0]
     ));
@@ -110,24 +115,41 @@ fn lag(figures: &Figures) -> String {
     format!(
         "{:.1} ms from where a joint is to the offset that belongs there, over the diagonal; {:.1} ms in the \
          worst two seconds of it. Where the error is steepest, {:.3} µm/mm, that costs {:.2} µm at 10 m/min. \
-         The lag holds: sending the position (every 2 ms), the board's millisecond, the way back, and \
-         LinuxCNC's own planner for offsets, which has OFFSET_AV_RATIO = {} of each axis' acceleration. \
+         {} \
          Slew limit of board and component: {} µm/s, half a micrometre in a servo cycle; the diagonal at \
          58 m/min needs about 70 µm/s of it, a reversal the rest.",
         lag.mean_ms,
         lag.worst_ms,
         lag.steepest_um_per_mm,
         lag.costs_um_at_10_m_per_min,
-        figures.offset_av_ratio,
+        of_lag(figures),
         figures.slew_um_per_s
     )
+}
+
+/// The parts of the lag.
+fn of_lag(figures: &Figures) -> String {
+    let way_there = match figures.way.on {
+        On::Qemu | On::Chip => {
+            "sending the position (every 2 ms), the board's millisecond, the way back"
+        }
+        On::Servo => "the node's millisecond",
+    };
+    let at_last = match figures.way.by {
+        By::Eoffset => format!(
+            "LinuxCNC's own planner for offsets, which has OFFSET_AV_RATIO = {} of each axis' acceleration",
+            figures.offset_av_ratio
+        ),
+        By::Joint => "the limits of the offset at the joint".into(),
+    };
+    format!("The lag contains: {way_there}, and {at_last}.")
 }
 
 fn compressed(figures: &Figures) -> String {
     let time = &figures.time;
     let hours = f64::from(time.warm_up_s) / 3_600.0;
     let times = f64::from(time.warm_up_s) / time.warm_up_wall_s;
-    let how = match figures.board {
+    let how = match figures.way.on {
         On::Qemu => format!(
             "All motion was cut at real time. In the warm-up board and machine lived {hours:.0} h in {:.0} s, \
              {times:.0} times as fast as the wall clock, while LinuxCNC stayed in real time and its program \
@@ -144,6 +166,11 @@ fn compressed(figures: &Figures) -> String {
              {times:.0} times as fast as the wall clock. No limit of board or component was longer, and \
              LinuxCNC got every pair of offsets.",
             time.slower, time.compression, time.warm_up_wall_s,
+        ),
+        On::Servo => format!(
+            "LinuxCNC and the bridge in it lived in real time. The machine file had time constants {} times shorter, and in the \
+             warm-up the machine lived as many times faster: {hours:.0} h took {:.0} s. No limit was longer.",
+            time.compression, time.warm_up_wall_s,
         ),
     };
     format!(

@@ -16,6 +16,7 @@
 
 use std::{
     io::{BufRead as _, BufReader},
+    path::{Path, PathBuf},
     process::ChildStdout,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
@@ -49,12 +50,14 @@ const SILENCE: Duration = Duration::from_secs(20);
 
 /// The pins that `sampler` writes down, in this order; all are floats.
 pub const PINS: [&str; 12] = [
+    // At the joint: what the drives get.
     "joint.0.motor-pos-cmd",
     "joint.1.motor-pos-cmd",
     "joint.2.motor-pos-cmd",
     // The head: C is next to the frame, A next to the tool.
     "joint.4.motor-pos-cmd",
     "joint.3.motor-pos-cmd",
+    // At the joint: what `moveoff` adds.
     "axis.x.eoffset",
     "axis.y.eoffset",
     "axis.z.eoffset",
@@ -136,18 +139,29 @@ pub struct Plant {
     thread: Option<JoinHandle<Result<Traffic>>>,
     slower: u32,
     address: String,
+    library: Option<PathBuf>,
+    channels: Vec<u8>,
 }
 
 impl Plant {
     /// Lets a machine live at a running bridge.
-    #[must_use]
-    pub fn start(bridge: Bridge, twin: Machine) -> Self {
-        let (address, slower) = (bridge.address(), bridge.slower());
+    ///
+    /// # Errors
+    /// The bridge listens nowhere.
+    pub fn start(bridge: Bridge, twin: Machine) -> Result<Self> {
+        let (address, slower) = (bridge.address()?, bridge.slower());
+        let (library, channels) = (bridge.library().map(Path::to_path_buf), bridge.channels());
         let shared = Arc::new(Shared { factor: AtomicU32::new(1), ..Shared::default() });
         let (to_loop, samples) = mpsc::channel();
         let theirs = shared.clone();
         let thread = thread::spawn(move || Loop::new(twin, samples, theirs).run(bridge));
-        Self { shared, to_loop, thread: Some(thread), slower, address }
+        Ok(Self { shared, to_loop, thread: Some(thread), slower, address, library, channels })
+    }
+
+    /// Returns the library of the component, and the channels of the thermometers, where there is no board.
+    #[must_use]
+    pub fn no_board(&self) -> Option<(&Path, &[u8])> {
+        self.library.as_deref().map(|library| (library, &self.channels[..]))
     }
 
     /// Where the bridge is to be found by the CNC.
@@ -349,6 +363,11 @@ impl Loop {
             }
             let due = owed_ms.floor().min(f64::from(LARGEST_BATCH));
             self.receive(bridge.slower())?;
+            if bridge.waits_for_cnc() && self.heard.is_none() {
+                owed_ms = 0.0;
+                thread::sleep(NAP);
+                continue;
+            }
             if due < 1.0 {
                 thread::sleep(NAP);
                 continue;

@@ -109,9 +109,11 @@ def jog(axis, speed, seconds=None):
 
 def stands(axis):
     """Whether an axis stands: while it jogs, LinuxCNC calls it in position. Without a realtime kernel the servo thread
-    itself may stand for one of the three looks."""
+    itself may stand for one of the three looks. An axis whose feed is held goes on later."""
     pin = f"axis.{'xyzabcuvw'[axis]}.pos-cmd"
     for _ in range(3):
+        if hal.get_value("motion.feed-inhibit"):
+            return False
         before = hal.get_value(pin)
         time.sleep(0.05)
         if abs(hal.get_value(pin) - before) >= 1e-6:

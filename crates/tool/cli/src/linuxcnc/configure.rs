@@ -211,6 +211,14 @@ pub fn joint_settings(
     Ok(joints::settings(&ini, mm_per_unit, slew_um_per_s / UM_PER_MM)?)
 }
 
+/// Returns where offsets at the joints lead beyond their limits, a sentence each.
+pub fn beyond_limits(ini: Option<&Path>, machine: Option<&Machine>) -> Result<Vec<String>> {
+    let Some(ini) = ini else { return Ok(Vec::new()) };
+    let demand = Demand::of(Entry::Joint, machine);
+    let found = check::at_start(&IniLines::read(ini)?, &demand)?;
+    Ok(found.iter().map(|it| format!("{}: {}; {}", it.place, it.what, it.help)).collect())
+}
+
 /// Does what the user asks for.
 pub fn run(command: &Command, as_json: bool) -> Result<Outcome> {
     match command {

@@ -1,13 +1,16 @@
 //! What in a configuration stands in the way of offsets, and what they will cost or reach.
 
+use trueup_machine::BadInput;
+
 use super::{
     Entry,
     finding::{Demand, Finding, Severity},
     hal_files::HalFiles,
     ini_lines::IniLines,
+    input_wires,
     installed::by_hand,
     joints::{ASSUMED, Headroom, Joint, REVERSAL_UM, SMALL, joints, ratio, reversal_s},
-    servo_lines, wiring,
+    wiring,
 };
 use crate::ini::Ini;
 
@@ -83,8 +86,16 @@ pub fn check(ini: &IniLines, hal: &HalFiles, demand: &Demand) -> Report {
     soft_limits(ini, &joints, &base, demand, &mut report);
     if let Some(no_board) = &demand.no_board {
         servo_period(ini, &base, &mut report);
-        report.findings.extend(servo_lines::missing(no_board, ini, hal));
+        if no_board.has_heat && !hal.names("trueup-confirm") {
+            report.facts.push(
+                "the machine file has models by heat: at the first start, and without what was kept of the last one, offsets wait until \
+                 the thermometers agree or you confirm that the machine is cold (signal trueup-confirm; or halcmd setp \
+                 trueup.0.confirm 1, then 0)"
+                    .into(),
+            );
+        }
     }
+    report.findings.extend(input_wires::missing(demand, ini, hal));
     // What is connected by hand occupies the pins that setup would take.
     if report.is_usable() && by_hand(ini, hal).is_none() {
         report.findings.extend(wiring::wiring(ini, hal, &joints, demand).err().unwrap_or_default());
@@ -323,6 +334,18 @@ fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report
             reversal_s(REVERSAL_UM / UM_PER_MM, slew, acceleration) * MS
         ));
     }
+}
+
+/// Returns where the largest offsets lead beyond the joints' limits, as a component at the joints says at its start.
+///
+/// # Errors
+/// The configuration cannot be followed.
+pub fn at_start(ini: &IniLines, demand: &Demand) -> Result<Vec<Finding>, BadInput> {
+    let (mut report, joints) = (Report::default(), joints(ini)?);
+    if let Some(base) = base(ini, &mut report) {
+        soft_limits(ini, &joints, &base, demand, &mut report);
+    }
+    Ok(report.findings)
 }
 
 /// Room between the ranges of programs and the joints' limits.

@@ -2,7 +2,11 @@
 
 use trueup_machine::{BadInput, Location, Machine};
 
-use super::{Entry, no_board::NoBoard};
+use super::{
+    Entry,
+    inputs::{self, NamedInput},
+    no_board::NoBoard,
+};
 
 /// How much a finding matters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,6 +62,10 @@ pub struct Demand {
     pub slew_um_per_s: f64,
     /// True for each axis whose pitch or backlash the machine file corrects; `None` without a machine file.
     pub corrects_screw: Option<[bool; 3]>,
+    /// What the machine file needs from LinuxCNC next to positions and speed.
+    pub inputs: Vec<NamedInput>,
+    /// The angles of rotary axes are sent.
+    pub sends_angles: bool,
     /// The bridge runs in the servo thread; `None`: on a board.
     pub no_board: Option<NoBoard>,
 }
@@ -74,6 +82,14 @@ impl Demand {
                 .map(|it| it.pitch.is_some() || it.backlash.is_some() || it.dual.is_some())
         });
         let slew_um_per_s = limits.slew_um_per_s;
-        Self { entry, max_um: limits.max_um, slew_um_per_s, corrects_screw, no_board: None }
+        Self {
+            entry,
+            max_um: limits.max_um,
+            slew_um_per_s,
+            corrects_screw,
+            inputs: machine.map(inputs::of_control).unwrap_or_default(),
+            sends_angles: machine.is_some_and(|it| !it.angle_axes().is_empty()),
+            no_board: None,
+        }
     }
 }

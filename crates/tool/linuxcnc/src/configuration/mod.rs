@@ -6,12 +6,15 @@
 //! ```
 //!
 //! [`ini_lines`] and [`hal_files`] read, [`joints`] says which joint moves which axis and how fast, [`check`] judges,
-//! [`wiring`] writes HAL files, [`no_board`] knows what a bridge without a board needs, [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
+//! [`wiring`] writes HAL files, [`inputs`] knows what the user's HAL files have to bring, [`no_board`] what a bridge without a board needs,
+//! [`installed`] finds what is there already, [`install`] puts them into the configuration and takes them out.
 
 pub mod check;
 pub mod finding;
 pub mod hal_files;
 pub mod ini_lines;
+mod input_wires;
+pub mod inputs;
 pub mod install;
 pub mod installed;
 pub mod joints;

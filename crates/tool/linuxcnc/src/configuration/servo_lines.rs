@@ -1,7 +1,6 @@
 //! The HAL lines of a bridge without a board: the component `trueup_node` in the servo thread.
 //!
-//! Analogue inputs and thermometers belong to the user's own HAL files. They bring them in by a name that is agreed on,
-//! and setup connects those signals that it finds:
+//! Analogue inputs and thermometers come in as the other inputs do (`inputs.rs`):
 //!
 //! | signal | pin | what |
 //! |---|---|---|
@@ -9,11 +8,6 @@
 //! | `trueup-sensor-resolution` | `sensor-resolution-v` | smallest step of its source, in volts |
 //! | `trueup-temp-NN` | `temp-NN-in` | the temperature of channel NN of the machine file, in °C |
 //! | `trueup-temp-heartbeat` | `temp-heartbeat` | changes with each set of temperatures that a program gives |
-//! | `trueup-condition-NN` | `condition-NN` | the condition of bit NN |
-//! | `trueup-tool` | `tool` | number of the tool |
-//! | `trueup-load` | `load-n` | axial cutting force in N |
-//! | `trueup-angle-1`, `-2` | `angle-1`, `-2` | angles of the head axes in degrees |
-//! | `trueup-zero`, `trueup-confirm` | `zero`, `confirm` | the operator's buttons |
 //!
 //! A signal that nothing drives is 0, and so would be a temperature; so what is not there is not connected.
 
@@ -21,11 +15,10 @@ use std::fmt::Write as _;
 
 use super::{
     Entry,
-    finding::{Demand, Finding},
-    hal_files::HalFiles,
+    finding::Demand,
     ini_lines::IniLines,
     joints::{Joint, ratio},
-    no_board::{NamedInput, NoBoard},
+    no_board::NoBoard,
 };
 use crate::ini::Ini;
 
@@ -34,35 +27,8 @@ pub const MODULE: &str = "trueup_node";
 /// Its function.
 pub const FUNCTION: &str = "trueup.0";
 /// After this time without a heartbeat the temperatures of a program count as missing.
-const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
+pub(super) const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;
-/// Signals that are connected where they are, and missed nowhere.
-const OPTIONAL: [(&str, &str); 7] = [
-    ("trueup-sensor-resolution", "sensor-resolution-v"),
-    ("trueup-temp-heartbeat", "temp-heartbeat"),
-    ("trueup-load", "load-n"),
-    ("trueup-angle-1", "angle-1"),
-    ("trueup-angle-2", "angle-2"),
-    ("trueup-zero", "zero"),
-    ("trueup-confirm", "confirm"),
-];
-
-/// Returns a finding for each input of the machine file that no HAL file brings.
-pub(super) fn missing(no_board: &NoBoard, ini: &IniLines, hal: &HalFiles) -> Vec<Finding> {
-    let missing = no_board.inputs.iter().filter(|input| !hal.names(&input.signal));
-    let finding = |NamedInput { signal, name, example, .. }: &NamedInput| {
-        Finding::warning(
-            ini.place_of_section("HAL"),
-            format!(
-                "no HAL file has the signal {signal}, by which \"{name}\" of the machine file comes in"
-            ),
-            format!(
-                "connect the pin of your input in a HAL file of yours: net {signal} PIN (such as {example})"
-            ),
-        )
-    };
-    missing.map(finding).collect()
-}
 
 /// Returns the lines that load the component and set it.
 pub(super) fn load(
@@ -75,7 +41,7 @@ pub(super) fn load(
     if demand.entry == Entry::Joint {
         let _ = write!(text, " joints={}", letters(joints));
     }
-    if no_board.has_head {
+    if demand.sends_angles {
         text.push_str(" rotary=1");
     }
     text.push('\n');
@@ -110,19 +76,6 @@ pub(super) fn load(
                 }
             }
         }
-    }
-    text
-}
-
-/// Returns the lines that connect the inputs which HAL files bring.
-pub(super) fn wires(no_board: &NoBoard, hal: &HalFiles) -> String {
-    let mut text = String::new();
-    let named = no_board.inputs.iter().map(|it| (it.signal.as_str(), it.pin.as_str()));
-    for (signal, pin) in named.chain(OPTIONAL).filter(|(signal, _)| hal.names(signal)) {
-        let _ = writeln!(text, "net {signal} => {FUNCTION}.{pin}");
-    }
-    if hal.names("trueup-temp-heartbeat") {
-        let _ = writeln!(text, "setp {FUNCTION}.temp-timeout-ms {TEMPERATURE_TIMEOUT_MS}");
     }
     text
 }

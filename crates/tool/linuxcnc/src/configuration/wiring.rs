@@ -20,14 +20,19 @@
 //! | waypoints fill up, and then offsets freeze | sampled every 10⁹ s: there are none |
 //! | return to zero is not coordinated | the enabling pins stay true; the component takes offsets back by the limits |
 //! | one set of variables for all instances | a second `moveoff` is refused |
+//! | it goes away from its goal when nothing changes that | `guard` holds it while the component is gone |
 
 use std::fmt::Write as _;
 
+mod guard;
+
+use self::guard::ALIVE;
 use super::{
     Entry,
     finding::{Demand, Finding},
     hal_files::{BadThread, CONTROLLER, HalFiles},
     ini_lines::IniLines,
+    input_wires,
     joints::Joint,
     no_board::{CALIBRATION, HEAT},
     servo_lines::{self, FUNCTION, MODULE, rounded},
@@ -45,35 +50,11 @@ const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 const LOWER: [&str; 3] = ["x", "y", "z"];
 /// The instance of `moveoff`; its channels are the joints of X, Y and Z in the order of their numbers.
 pub const LIMITER: &str = "trueup-mv";
-const ALIVE: &str = "trueup-alive";
-/// Where a message of the program has more.
-const LOG_HINT: &str = " (trueup.log)";
-const MESSAGES: [(&str, &str, &str, bool); 4] = [
-    (
-        "trueup-no-offsets",
-        "trueup-fault",
-        "trueup: no offsets (bridge silent or its inputs failed or LinuxCNC does not take them)",
-        true,
-    ),
-    (
-        "trueup-not-followed",
-        "trueup-limited",
-        "trueup: an axis cannot follow its offset (soft limit or joint mode or no OFFSET_AV_RATIO)",
-        true,
-    ),
-    (
-        "trueup-other-cal",
-        "trueup-other",
-        "trueup: nothing is engaged because the bridge runs on another calibration (trueup.log)",
-        true,
-    ),
-    (
-        "trueup-gone",
-        "trueup-lives",
-        "trueup: the feed is held because the component has stopped or a wire of it is cut (trueup.log)",
-        false,
-    ),
-];
+
+/// Returns the pin that keeps a joint's reference while the component is gone: an input that is never selected.
+pub(crate) fn kept_at(joint: usize) -> String {
+    format!("trueup-j{joint}-go.in7")
+}
 
 /// The text of the two HAL files.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -183,6 +164,7 @@ impl Writer<'_> {
             joints.iter().map(|joint| format!("trueup-j{}", joint.number)).collect();
         let _ = writeln!(text, "\nloadrt moveoff names={LIMITER} personality={}", joints.len());
         self.load(text, "offset", &names);
+        let stops = self.load_stops(text, &names);
         // The feedback just before the motion controller, the command just after it.
         let controller = functions.iter().position(|it| it == CONTROLLER).unwrap_or_default() + 1;
         let mut position = controller;
@@ -200,6 +182,7 @@ impl Writer<'_> {
         if demand.no_board.is_some() {
             add(FUNCTION.into());
         }
+        stops.into_iter().for_each(&mut add);
         for function in ["read-inputs", "write-outputs"] {
             add(format!("{LIMITER}.{function}"));
         }
@@ -231,15 +214,17 @@ impl Writer<'_> {
                  net {command} {name}.out\n\
                  net {feedback} => {name}.fb-in\n"
             );
+            Self::stop(text, name, channel);
             if demand.no_board.is_some() {
                 let slew_mm_per_s = demand.slew_um_per_s / MICROMETRES_PER_MILLIMETRE;
                 let speed = joint.offset_mm_per_s(slew_mm_per_s, mm_per_unit) / mm_per_unit;
                 let _ = write!(
                     text,
-                    "setp {LIMITER}.offset-vel-{channel} {}\n\
-                     setp {LIMITER}.offset-accel-{channel} {}\n",
-                    rounded(speed),
-                    rounded(joint.acceleration.left())
+                    "setp {name}-go.in1 {speed}\n\
+                     setp {name}-speed.maxv {acceleration}\n\
+                     setp {LIMITER}.offset-accel-{channel} {acceleration}\n",
+                    speed = rounded(speed),
+                    acceleration = rounded(joint.acceleration.left())
                 );
             }
         }
@@ -293,53 +278,6 @@ impl Writer<'_> {
         }
     }
 
-    /// Holds the feed while the component is gone.
-    fn watchdog(&mut self, text: &mut String, thread: &str) {
-        text.push_str("\n# Holds the feed while the component is gone.\n");
-        self.load(text, "oneshot", &[ALIVE.into()]);
-        let _ = writeln!(text, "addf {ALIVE} {thread}");
-        for (pin, value) in
-            [("width", "0.3"), ("rising", "TRUE"), ("falling", "TRUE"), ("retriggerable", "TRUE")]
-        {
-            let _ = writeln!(text, "setp {ALIVE}.{pin} {value}");
-        }
-        if let Some(link) = self.hal.link_at_last("motion.feed-inhibit") {
-            self.findings.push(Finding::error(
-                link.place,
-                format!("motion.feed-inhibit is on the signal {} already", link.signal),
-                format!(
-                    "take it off, or join both by or2: setup needs the pin for {ALIVE}.out-not"
-                ),
-            ));
-        }
-        let _ = writeln!(text, "net trueup-hold {ALIVE}.out-not => motion.feed-inhibit");
-    }
-
-    /// Tells the operator, on whatever screen there is. A module that the user has loaded is left to the user.
-    fn messages(&self, text: &mut String, thread: &str, demand: &Demand) {
-        if self.hal.loads("message").is_some() {
-            return;
-        }
-        let list = |of: fn(&(&'static str, &'static str, &'static str, bool)) -> &'static str| {
-            MESSAGES.iter().map(of).collect::<Vec<_>>().join(",")
-        };
-        let mut messages = list(|it| it.2);
-        if demand.no_board.is_some() {
-            // The realtime component has no log of its own.
-            messages = messages.replace(LOG_HINT, "");
-        }
-        let _ =
-            writeln!(text, "\nloadrt message names={} messages=\"{messages}\"", list(|it| it.0));
-        for (name, signal, _, edge) in MESSAGES {
-            let edge = if edge { "TRUE" } else { "FALSE" };
-            let _ = write!(
-                text,
-                "addf {name} {thread}\nsetp {name}.edge {edge}\nnet {signal} => {name}.trigger\n"
-            );
-        }
-        let _ = writeln!(text, "net trueup-lives {ALIVE}.out");
-    }
-
     /// Returns the component and its wires.
     fn component(&mut self, joints: &[Joint], demand: &Demand) -> String {
         let entry = demand.entry;
@@ -351,19 +289,20 @@ impl Writer<'_> {
             Some(_) => " --machine [TRUEUP](MACHINE)",
             None => "",
         };
-        let mut text = if let Some(no_board) = &demand.no_board {
+        let angles = if demand.sends_angles { " --rotary" } else { "" };
+        let mut text = if demand.no_board.is_some() {
             format!(
                 "{WRITTEN}\n# What keeps the heat over a restart, and the wires of {MODULE}.\n\n\
-                 loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)\n\n{}",
-                servo_lines::wires(no_board, self.hal)
+                 loadusr trueup linuxcnc keep --file [TRUEUP](HEAT)\n\n"
             )
         } else {
             format!(
                 "{WRITTEN}\n# If the component alone has ended: halcmd -i YOUR.ini -f {COMPONENT}\n\n\
-             loadusr -W trueup linuxcnc --by {} --port [TRUEUP](PORT) --position-period-ms [TRUEUP](POSITION_PERIOD_MS){machine} --log trueup.log\n\n",
+             loadusr -W trueup linuxcnc --by {} --port [TRUEUP](PORT) --position-period-ms [TRUEUP](POSITION_PERIOD_MS){angles}{machine} --log trueup.log\n\n",
                 entry.name()
             )
         };
+        text += &input_wires::wires(demand, self.hal);
         self.from(&mut text, "motion.motion-enabled", "trueup-on", &["machine-on".into()]);
         self.from(&mut text, "motion.is-all-homed", "trueup-homed", &["homed".into()]);
         self.from(&mut text, "spindle.0.speed-out", "trueup-rpm", &["spindle-rpm".into()]);
@@ -406,20 +345,17 @@ impl Writer<'_> {
 
     fn joint_wires(&mut self, text: &mut String, channel: usize, joint: &Joint, demand: &Demand) {
         let n = joint.number;
-        // The limits of speed and acceleration are set once without a board.
-        let driven = if demand.no_board.is_some() { 3 } else { 5 };
-        let pins = [
-            ("offset", "offset-in"),
-            ("min", "offset-min"),
-            ("max", "offset-max"),
-            ("vel", "offset-vel"),
-            ("accel", "offset-accel"),
-        ];
-        for (pin, of_limiter) in pins.into_iter().take(driven) {
-            let _ = writeln!(
-                text,
-                "net trueup-j{n}-{pin} trueup.0.joint-{n}-{pin} => {LIMITER}.{of_limiter}-{channel}"
-            );
+        let limiter = |pin: &str| format!("{LIMITER}.offset-{pin}-{channel}");
+        let mut pins =
+            vec![("offset", limiter("in")), ("min", limiter("min")), ("max", limiter("max"))];
+        // Speed and acceleration are set once without a board.
+        if demand.no_board.is_none() {
+            pins.push(("vel", format!("trueup-j{n}-go.in1")));
+            pins.push(("accel", format!("{} trueup-j{n}-speed.maxv", limiter("accel"))));
+            pins.push(("kept", kept_at(n)));
+        }
+        for (pin, to) in pins {
+            let _ = writeln!(text, "net trueup-j{n}-{pin} trueup.0.joint-{n}-{pin} => {to}");
         }
         let _ = writeln!(text, "net trueup-j{n}-now => trueup.0.joint-{n}-now");
         for (pin, ours) in [("motor-offset", "reference"), ("homing", "homing"), ("pos-cmd", "cmd")]
