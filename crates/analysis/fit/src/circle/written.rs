@@ -7,7 +7,7 @@
 use trueup_machine::{
     Machine,
     file::{
-        BSpline, Feedback, LinearAxis, Pitch, Squareness,
+        BSpline, Backlash, Feedback, LinearAxis, Pitch, Squareness,
         write::{Edit, NewSection, rounded},
     },
     model::{pitch_um, spline_um},
@@ -152,10 +152,8 @@ impl Sections<'_> {
                 }
                 (Some(width_um), None) => {
                     let there = own.and_then(|own| own.backlash).map_or(0.0, |it| it.width_um);
-                    let section = NewSection::new(format!("axis.{name}.backlash"))
-                        .remark("From circles: trueup fit circle.")
-                        .number("width_um", rounded(there + width_um, DECIMALS))
-                        .keeping(&["ramp_mm", "hysteresis_um"]);
+                    let section = Backlash::section(axis, rounded(there + width_um, DECIMALS))
+                        .remark("From circles: trueup fit circle.");
                     self.edit.sections.push(section);
                 }
                 (None, _) => {}
@@ -163,17 +161,9 @@ impl Sections<'_> {
             if let Some(pitch) =
                 pitch.filter(|it| own.and_then(|own| own.pitch.as_ref()) != Some(it))
             {
-                let mut section = NewSection::new(format!("axis.{name}.pitch"))
-                    .remark(
-                        "From circles: trueup fit circle. Beyond their range the ends are held.",
-                    )
-                    .number("start_mm", pitch.start_mm)
-                    .number("step_mm", pitch.step_mm)
-                    .numbers("forward_um", pitch.forward_um);
-                if let Some(reverse_um) = pitch.reverse_um {
-                    section = section.numbers("reverse_um", reverse_um);
-                }
-                self.edit.sections.push(section);
+                self.edit.sections.push(pitch.section(axis).remark(
+                    "From circles: trueup fit circle. Beyond their range the ends are held.",
+                ));
             }
         }
     }

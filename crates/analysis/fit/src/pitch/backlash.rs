@@ -16,7 +16,7 @@ use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 use trueup_machine::{
     BadInput,
     applied::Uncompensated,
-    file::write::{Edit, NewSection, rounded},
+    file::write::{Edit, rounded},
     file::{Backlash, Feedback, LinearAxis},
 };
 
@@ -132,11 +132,7 @@ pub fn fit_backlash(
         ]);
     }
     let backlash = report.verdict.is_fitted().then(|| {
-        report.edit = Edit::of(
-            NewSection::new(format!("axis.{}.backlash", axis.name()))
-                .number("width_um", width_um)
-                .keeping(&["ramp_mm", "hysteresis_um"]),
-        );
+        report.edit = Edit::of(Backlash::section(axis, width_um));
         Backlash { width_um, ramp_mm: 0.0, hysteresis_um: 0.0 }
     });
     Ok(BacklashFit { report, backlash, by_position: means, depends_on_position })

@@ -1,8 +1,8 @@
 //! The report of a pitch fit.
 
 use trueup_machine::{
-    file::LinearAxis,
-    file::write::{Edit, NewSection},
+    file::write::Edit,
+    file::{Backlash, LinearAxis},
 };
 
 use trueup_numerics::repeats::{Decision, Refusal, between, cycles_for};
@@ -127,22 +127,14 @@ pub(super) fn write(
     report.facts.push(Fact::number("table_points", grid.points as f64));
     let name = format!("axis.{}", axis.name());
     let rms = |spread: Option<Spread>| spread.map_or("?".into(), |it| format!("{:.2}", it.rms_um));
-    let mut section = NewSection::new(format!("{name}.pitch"))
-        .remark(format!(
-            "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
-            report.rows_used,
-            readings.runs,
-            rms(report.before),
-            rms(report.in_sample),
-            rms(report.left_out)
-        ))
-        .number("start_mm", pitch.start_mm)
-        .number("step_mm", pitch.step_mm)
-        .numbers("forward_um", pitch.forward_um.clone());
-    if let Some(reverse_um) = &pitch.reverse_um {
-        section = section.numbers("reverse_um", reverse_um.clone());
-    }
-    report.edit = Edit::of(section);
+    report.edit = Edit::of(pitch.section(axis).remark(format!(
+        "From {} readings of {} runs; rms µm before {}, fitted {}, left out {}.",
+        report.rows_used,
+        readings.runs,
+        rms(report.before),
+        rms(report.in_sample),
+        rms(report.left_out)
+    )));
     let backlash = format!("{name}.backlash");
     match fitted.width_um {
         Some(width_um) => {
@@ -152,10 +144,8 @@ pub(super) fn write(
                 None => Parameter::set("width_um", width_um),
             });
             report.edit.sections.push(
-                NewSection::new(backlash)
-                    .remark("Belongs to the table above: both were fitted together.")
-                    .number("width_um", width_um)
-                    .keeping(&["ramp_mm", "hysteresis_um"]),
+                Backlash::section(axis, width_um)
+                    .remark("Belongs to the table above: both were fitted together."),
             );
         }
         // It is in the tables, or was found not to gain.

@@ -121,15 +121,7 @@ impl Sections<'_> {
                 continue;
             }
             let pitch = table(&curve, own.pitch.as_ref());
-            let mut section = NewSection::new(format!("axis.{}.pitch", axis.name()))
-                .remark(self.remark(error))
-                .number("start_mm", pitch.start_mm)
-                .number("step_mm", pitch.step_mm)
-                .numbers("forward_um", pitch.forward_um);
-            if let Some(reverse_um) = pitch.reverse_um {
-                section = section.numbers("reverse_um", reverse_um);
-            }
-            self.sections.push(section);
+            self.sections.push(pitch.section(axis).remark(self.remark(error)));
             self.written.push(error);
         }
     }

@@ -5,13 +5,13 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value},
+    cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target},
     data_view::{DataView, StartValues, spread, targets},
 };
 use crate::{
     file::axis::{LinearAxis, Pitch},
     file::read::Section,
-    file::table::Table,
+    file::table::{Table, entries},
     location::BadInput,
     model::pitch::is_reverse,
 };
@@ -28,14 +28,7 @@ impl PitchError {
 
 impl CauseSpec for PitchError {
     fn entries(&self) -> Vec<Entry> {
-        let Pitch { start_mm, step_mm, forward_um, reverse_um } = &self.0;
-        let mut entries = vec![
-            ("start_mm", Value::Number(*start_mm)),
-            ("step_mm", Value::Number(*step_mm)),
-            ("forward_um", Value::Numbers(forward_um.clone())),
-        ];
-        entries.extend(reverse_um.iter().map(|um| ("reverse_um", Value::Numbers(um.clone()))));
-        entries
+        entries(&self.0)
     }
 
     fn home(&self) -> Target {
@@ -98,8 +91,8 @@ impl CauseSpec for PitchError {
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
         let mut table = self.clone();
         table.set(values);
-        let entries = table.entries().into_iter();
-        let mut record: Vec<_> = entries.map(|(key, value)| (key, Some(value))).collect();
+        let mut record: Vec<_> =
+            table.entries().into_iter().map(|(key, value)| (key, Some(value))).collect();
         if self.0.reverse_um.is_none() {
             record.push(("reverse_um", None));
         }

@@ -203,6 +203,25 @@ table! {
     }
 }
 
+impl Pitch {
+    /// Returns the section of this table of `axis`.
+    #[must_use]
+    pub fn section(&self, axis: LinearAxis) -> NewSection {
+        self.write(NewSection::new(format!("axis.{}.pitch", axis.name())))
+    }
+}
+
+impl Backlash {
+    /// Returns the section of a backlash of `axis` whose width alone is known: all else stays as the user has it.
+    #[must_use]
+    pub fn section(axis: LinearAxis, width_um: f64) -> NewSection {
+        const OTHERS: [&str; 2] = [Backlash::KEYS[1].name, Backlash::KEYS[2].name];
+        NewSection::new(format!("axis.{}.backlash", axis.name()))
+            .number(Self::KEYS[0].name, width_um)
+            .keeping(&OTHERS)
+    }
+}
+
 pub(super) const SECTIONS: &[Key] = &[
     section("x", AxisModel::KEYS, "the X axis"),
     section("y", AxisModel::KEYS, "the Y axis"),

@@ -185,11 +185,17 @@ pub(crate) fn written<T: KeyValue>(section: NewSection, key: &Key, value: &T) ->
     }
 }
 
+/// Returns the keys of a table that are written.
+pub(crate) fn entries<T: Table>(table: &T) -> Vec<(&'static str, Value)> {
+    let section = table.write(NewSection::new(""));
+    let entry = |key: &'static Key| Some((key.name, section.value_of(key.name)?.clone()));
+    T::KEYS.iter().filter_map(entry).collect()
+}
+
 /// Returns a table as it is written on one line.
 pub(crate) fn on_one_line(table: &impl Table) -> Value {
-    let section = table.write(NewSection::new(""));
-    let entry = |(name, value): (&str, &Value)| (name.to_string(), value.clone());
-    Value::Inline(section.values().map(entry).collect())
+    let entry = |(name, value): (&str, Value)| (name.to_string(), value);
+    Value::Inline(entries(table).into_iter().map(entry).collect())
 }
 
 impl<T: Table> KeyValue for T {

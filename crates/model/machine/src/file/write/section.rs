@@ -158,7 +158,7 @@ impl NewSection {
     }
 
     /// Returns the value of `key`, if it is one of its own.
-    pub(super) fn value_of(&self, key: &str) -> Option<&Value> {
+    pub(crate) fn value_of(&self, key: &str) -> Option<&Value> {
         self.entries.iter().find(|entry| entry.key == key).map(|entry| &entry.value)
     }
 
