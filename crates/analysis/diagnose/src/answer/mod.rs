@@ -63,10 +63,11 @@ use held_out::LeftOutParts;
 use hold_out::HoldOut;
 use on_board::left_on_board;
 use power::{COVERAGE, Power};
-use report::{After, Before, HeldOutParts, Rejected, Report};
+use report::{After, Before, HeldOutParts, Rejected, Report, Verdict};
+use shortfall::Shortfall;
 use unknown_rest::UnknownRest;
 use unseen::Unseen;
-use verdict::{Grounds, verdict};
+use verdict::{Grounds, Reason, verdict};
 use wandering::Wandering;
 
 /// The answer, with all that is needed to write it down.
@@ -119,16 +120,11 @@ pub(crate) fn conclude(
     SetAside { rows: aside, known }: SetAside,
     asked: Asked<'_>,
 ) -> Result<Diagnosis, BadInput> {
-    let wandering = Wandering::of(problem, &found);
     let search =
         Search { data: &data, problem, found: &found, judged, runs: asked.runs, aside: &aside };
     let mut chosen = Chosen::of(&search, asked.hold_out)?;
-    let model = &chosen.model;
-    let Residuals { before, after, before_rows, after_rows, within } =
-        Residuals::of(&data, problem, model, &aside);
-    let test = asked.hold_out.map(|hold_out| &hold_out.data);
-    let unseen = Unseen { problem, folds: &found.folds, within, test };
-    let (holdout_before_um, holdout_after_um) = (unseen.before_um(), unseen.after_um(model));
+    let residuals = Residuals::of(&data, problem, &chosen.model, &aside);
+    let within = residuals.within;
     let open = asked.bridge.open(problem, &found, judged);
     if open.forbids_writing() {
         chosen.written.write_nothing();
@@ -136,19 +132,16 @@ pub(crate) fn conclude(
     let Chosen { model, written, choice, transfer } = &chosen;
     let dropped: &[Kind] = transfer.as_ref().map_or(&[], |it| &it.dropped);
     let compensated = compensated(&written.board);
-    let holdout_compensated_um = if compensated == *model {
-        holdout_after_um
-    } else {
-        written.unseen_um(&unseen, problem, &compensated)
-    };
+    let test = asked.hold_out.map(|hold_out| &hold_out.data);
+    let unseen = Unseen { problem, folds: &found.folds, within, test };
+    let unseen_um = unseen_um(&unseen, &chosen, &compensated);
     let machine = extended::extended_by(&data, &written.board);
     let on_board = left_on_board(&data, asked.runs, &machine, &compensated, &aside);
     // The zero of an axis's measurement counts neither before nor after.
     let on_board = about_zero(&data, on_board);
-
-    let not_run = written.not_run(&data, model);
-    let promise = at_tool::Grounds::new(written.problem(problem), &found, &compensated, not_run);
     let own = written.problem(problem);
+    let not_run = written.not_run(&data, model);
+    let promise = at_tool::Grounds::new(own, &found, &compensated, not_run);
     let is_corrected = !compensated.parts.is_empty();
     let folds = Folds::of_promise(own);
     let foreseen = choice.foreseen.as_ref();
@@ -163,37 +156,15 @@ pub(crate) fn conclude(
     let has_outliers = known == Aside::Wrong;
     let mut notes = asked.notes;
     notes.extend(not_claimed(&aside, known));
-    let repeats = repeats::analyse(&data, &after, &aside);
-    let left_um = rms(&after_rows);
-    let power = Power::new(problem, &found, left_um, after_rows.len(), asked.matters_um);
-    let by_row = errors_by_row(&data, &after, Some(&aside));
-    let unknown_rest =
-        UnknownRest::of(&data, repeats.as_ref(), [rms(&before_rows), left_um], &by_row);
-    let grounds = Grounds {
-        found: &found,
-        judged,
-        has_outliers,
-        repeats: repeats.as_ref(),
-        power: &power,
-        wandering: wandering.as_ref(),
-        unknown_rest,
-        between_neighbours_um: between_neighbours_um(&after_rows),
-        instrument_um: data.machine.instrument_um,
-        transfer: transfer.as_ref(),
-        shortfall: shortfall.as_ref(),
-        is_predicted: choice.is_predicted,
-        is_withheld: written.withholds(),
-    };
-    let (verdict, reasons) = verdict(&grounds);
+    let left = Left::of(&search, &residuals, asked.matters_um);
+    let (verdict, reasons) = left.verdict(&search, &chosen, shortfall.as_ref(), has_outliers);
     let (verdict, reasons) = open.judge(verdict, reasons);
-    let is_most_unknown = unknown_rest.is_some_and(|rest| rest.is_most);
+    let Residuals { before, after, before_rows, after_rows, .. } = residuals;
+    let is_most_unknown = left.unknown_rest.is_some_and(|rest| rest.is_most);
     let mut findings = chosen.findings(&search, &open, &after, within, is_most_unknown);
     findings.splice(0..0, open.finding(asked.bridge, &data, &after));
-    if has_outliers {
-        findings.push(outliers(&data, &after, &aside));
-    }
-    let hints = hint::hints(&data.machine, &findings, &data.law);
-    let noise_um = noise_um(problem, &found, &after_rows, repeats.as_ref());
+    findings.extend(has_outliers.then(|| outliers(&data, &after, &aside)));
+    let Left { noise_um, repeats, power, wandering, .. } = left;
     let mut at_tool = promise.on_table(&data, asked.runs)?;
     if is_corrected {
         let of_gauge_um = noise_of_gauge_um(&data, problem, noise_um, repeats.is_some());
@@ -208,22 +179,21 @@ pub(crate) fn conclude(
         noise_memory: found.noise.memory * problem.groups.size as f64 * step_s(problem),
         detectable_um: power.found_um,
         wandering: wandering.as_ref().map(Wandering::reported),
-        before: Before::of(&before_rows, holdout_before_um),
-        after: After::of(&after_rows, &on_board, [holdout_after_um, holdout_compensated_um]),
+        before: Before::of(&before_rows, unseen_um[0]),
+        after: After::of(&after_rows, &on_board, [unseen_um[1], unseen_um[2]]),
         verdict,
         reasons: each_once(reasons.iter().map(ToString::to_string)),
         notes,
         holdout_used: !dropped.is_empty(),
         left_out: dropped.iter().map(left_out).collect(),
+        hints: hint::hints(&data.machine, &findings, &data.law),
         findings,
-        hints,
         missing_inputs: Vec::new(),
         at_tool,
         held_out,
         rejected: found.rejected.into_iter().map(rejected).collect(),
     };
     let Extended { replaced: corrected, new: terms } = written.extension(&data);
-    let noise_is_measured = repeats.is_some();
     let mut diagnosis = Diagnosis {
         report,
         terms,
@@ -232,7 +202,7 @@ pub(crate) fn conclude(
         before,
         after,
         aside,
-        noise_is_measured,
+        noise_is_measured: repeats.is_some(),
         promise,
         questions,
         runs: asked.runs.to_vec(),
@@ -241,6 +211,73 @@ pub(crate) fn conclude(
         diagnosis.report.missing_inputs = missing_inputs(&extended::machine(&diagnosis));
     }
     Ok(diagnosis)
+}
+
+/// What the model leaves.
+struct Left {
+    repeats: Option<Repeats>,
+    /// The noise of a reading.
+    noise_um: f64,
+    between_neighbours_um: f64,
+    power: Power,
+    wandering: Option<Wandering>,
+    unknown_rest: Option<UnknownRest>,
+}
+
+impl Left {
+    fn of(search: &Search<'_>, residuals: &Residuals, matters_um: Option<f64>) -> Self {
+        let Search { data, problem, found, aside, .. } = *search;
+        let Residuals { after, before_rows, after_rows, .. } = residuals;
+        let repeats = repeats::analyse(data, after, aside);
+        let left_um = rms(after_rows);
+        let by_row = errors_by_row(data, after, Some(aside));
+        let spread_um = [rms(before_rows), left_um];
+        Self {
+            noise_um: noise_um(problem, found, after_rows, repeats.as_ref()),
+            between_neighbours_um: between_neighbours_um(after_rows),
+            power: Power::new(problem, found, left_um, after_rows.len(), matters_um),
+            wandering: Wandering::of(problem, found),
+            unknown_rest: UnknownRest::of(data, repeats.as_ref(), spread_um, &by_row),
+            repeats,
+        }
+    }
+
+    /// Returns the verdict on the answer, and why.
+    fn verdict(
+        &self,
+        search: &Search<'_>,
+        chosen: &Chosen,
+        shortfall: Option<&Shortfall>,
+        has_outliers: bool,
+    ) -> (Verdict, Vec<Reason>) {
+        verdict(&Grounds {
+            found: search.found,
+            judged: search.judged,
+            has_outliers,
+            repeats: self.repeats.as_ref(),
+            power: &self.power,
+            wandering: self.wandering.as_ref(),
+            unknown_rest: self.unknown_rest,
+            between_neighbours_um: self.between_neighbours_um,
+            instrument_um: search.data.machine.instrument_um,
+            transfer: chosen.transfer.as_ref(),
+            shortfall,
+            is_predicted: chosen.choice.is_predicted,
+            is_withheld: chosen.written.withholds(),
+        })
+    }
+}
+
+/// Returns what the machine file, the model and what is compensated of it leave on data that nothing was fitted to: RMS,
+/// in µm.
+fn unseen_um(unseen: &Unseen<'_>, chosen: &Chosen, compensated: &Model) -> [f64; 3] {
+    let after_um = unseen.after_um(&chosen.model);
+    let compensated_um = if *compensated == chosen.model {
+        after_um
+    } else {
+        chosen.written.unseen_um(unseen, unseen.problem, compensated)
+    };
+    [unseen.before_um(), after_um, compensated_um]
 }
 
 /// Returns the sentences in their order, none of them twice: forms of one cause say the same.
