@@ -23,8 +23,8 @@ use crate::filter::{Fate, Filter};
 const HOUR_S: f64 = 3600.0;
 const DAY_S: f64 = 24.0 * HOUR_S;
 /// The times in which the filters forget: a constant may go anywhere within its bounds in four days, in a
-/// month, in a year. Between neighbours lies a factor of about ten, within which a filter loses little.
-const HORIZONS_S: [f64; 3] = [365.0 * DAY_S, 30.0 * DAY_S, 4.0 * DAY_S];
+/// month, in four years. Between events most constants stay, and the slowest is what knows these well.
+const HORIZONS_S: [f64; 3] = [1460.0 * DAY_S, 30.0 * DAY_S, 4.0 * DAY_S];
 /// The memories of what wanders: an hour, a shift, three days, a factor of about ten apart.
 const MEMORIES_S: [f64; 3] = [HOUR_S, 8.0 * HOUR_S, 72.0 * HOUR_S];
 /// The readings by which they are compared: three days of work at one each half hour.

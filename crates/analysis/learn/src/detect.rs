@@ -56,6 +56,10 @@ const AGREES: f64 = 0.7;
 const MIN_SCATTER: usize = 12;
 /// By how much readings may scatter more, and the least that is reported.
 const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
+/// The least share of a scatter's evidence in each half of the readings: a half of the half that it has on average.
+const HALF: f64 = 0.25;
+/// By this factor at most the scatter of most readings may be below that of all: of twelve it is known to a third.
+const CORE: f64 = 1.5;
 /// Standard errors between alternatives that are distinguished.
 const DISTINCT: f64 = 4.0;
 
@@ -265,21 +269,32 @@ fn fit(alternative: Alternative, e: &[f64], h: &[f64], sigma: f64) -> Option<Fit
     Some(Fitted { alternative, size, error: sigma / known.max(1e-12).sqrt(), gain, effect_um })
 }
 
-/// Fits a larger scatter about a level; `None` where it explains nothing.
+/// Fits a larger scatter about a level; `None` where it explains nothing. It must hold in each half of the readings about a level of
+/// its own: a step, or a change whose effect comes and goes, is no scatter of the readings before it.
 fn scatter(e: &[f64], sigma: f64) -> Option<Fitted> {
     if e.len() < MIN_SCATTER {
         return None;
     }
-    let level = median(&mut e.to_vec());
-    let e: Vec<f64> = e.iter().map(|e| e - level).collect();
-    let gain = |s: f64| -> f64 {
-        e.iter().map(|e| likelihood(*e, s * sigma) - likelihood(*e, sigma)).sum()
+    let gain = |e: &[f64], s: f64| -> f64 {
+        let level = median(&mut e.to_vec());
+        let each = e.iter().map(|e| e - level);
+        each.map(|e| likelihood(e, s * sigma) - likelihood(e, sigma)).sum()
     };
-    let all = SCATTERS.into_iter().map(|s| (s, gain(s)));
-    let (size, gain) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let all = SCATTERS.into_iter().map(|s| (s, gain(e, s)));
+    let (size, all) = all.max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let (first, last) = e.split_at(e.len() / 2);
+    if [first, last].iter().any(|half| gain(half, size) < HALF * all) {
+        return None;
+    }
+    // Some bad readings in a row are no scatter: the median of the magnitude says how the others scatter.
+    let level = median(&mut e.to_vec());
+    let mut off: Vec<f64> = e.iter().map(|e| (e - level).abs()).collect();
+    if CORE * 1.4826 * median(&mut off) < size * sigma {
+        return None;
+    }
     let error = size / (2.0 * e.len() as f64).sqrt();
     let alternative = Alternative::Scatter;
-    (gain > 0.0).then_some(Fitted { alternative, size, error, gain, effect_um: 0.0 })
+    (all > 0.0).then_some(Fitted { alternative, size, error, gain: all, effect_um: 0.0 })
 }
 
 /// Returns by how many standard errors the best explanation differs from the best by another.
@@ -342,7 +357,14 @@ mod tests {
         assert!(found(|n, _| if n < 2 { 30.0 } else { 0.0 }, &levels).is_none());
         assert!(found(|n, _| if n > 9 { 30.0 } else { 0.0 }, &levels).is_none());
         let wide = [5.0, -6.0, 4.0, -5.0, 6.0, -5.0, 5.0, -4.0, 5.0, -6.0, 6.0, -5.0];
-        let found = found(|n, _| wide[n], &levels).expect("it scatters");
-        assert_eq!(found.best.alternative, Alternative::Scatter);
+        let scatters = found(|n, _| wide[n], &levels).expect("it scatters");
+        assert_eq!(scatters.best.alternative, Alternative::Scatter);
+        // Not where some bad ones follow each other,
+        let bad = |n: usize, _: f64| if n % 3 == 1 { [5.0, -5.0][n % 2] } else { 0.0 };
+        let bad = found(bad, &[40.0; 15]);
+        assert!(bad.is_none_or(|it| it.best.alternative != Alternative::Scatter));
+        // nor where the readings before the last ones did not.
+        let last = found(|n, _| if n < 6 { 0.0 } else { 1.5 * wide[n] }, &levels);
+        assert!(last.is_none_or(|it| it.best.alternative != Alternative::Scatter));
     }
 }

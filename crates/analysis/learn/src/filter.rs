@@ -48,6 +48,9 @@ pub(crate) const FINEST_UM: f64 = 0.1;
 const BAD: f64 = 0.05;
 const ANYTHING_UM: f64 = 100.0;
 
+/// The time in which a value that goes with the weather may be anywhere within its prior, in s: the seasons come back in a year.
+const WEATHER_S: f64 = 365.0 * 86_400.0;
+
 /// The estimate from the readings so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Filter {
@@ -61,6 +64,9 @@ pub(crate) struct Filter {
     p: Vec<f64>,
     /// Variances of what lasts, before the first reading.
     prior: Vec<f64>,
+    /// Places of values that were held until an event freed them: they go with the weather, at its pace.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    weather: Vec<usize>,
     /// Repeatability of one reading, in µm, as far as known.
     noise_um: f64,
     /// ν and gᵀ·P·g of readings that were taken.
@@ -91,6 +97,7 @@ impl Filter {
             x: vec![0.0; prior.len() + 1],
             p: Vec::new(),
             prior,
+            weather: Vec::new(),
             noise_um,
             taken: Vec::new(),
             last: Vec::new(),
@@ -105,6 +112,7 @@ impl Filter {
         self.prior.len() == values
             && self.x.len() == all
             && self.p.len() == all * all
+            && self.weather.iter().all(|place| *place < values)
             && self.last.iter().all(|(_, g, _)| (values..=all).contains(&g.len()))
             && self.noise_um > 0.0
             && [self.horizon_s, self.memory_s].iter().all(|time_s| *time_s > 0.0)
@@ -180,6 +188,7 @@ impl Filter {
         let variance = deviation * deviation;
         if self.prior[index] == 0.0 {
             self.prior[index] = variance;
+            self.weather.push(index);
         }
         self.p[index * n + index] = self.prior[index].min(variance);
         self.last.clear();
@@ -202,6 +211,9 @@ impl Filter {
         self.x = x;
         let is_fixed = self.prior.iter().all(|variance| *variance == 0.0);
         self.prior = prior.iter().map(|sd| if is_fixed { 0.0 } else { sd * sd }).collect();
+        // A new value begins as it did before the first reading: one that was held is held again.
+        let is_weather = |place: &Option<usize>| place.is_some_and(|it| self.weather.contains(&it));
+        self.weather = (0..from.len()).filter(|place| is_weather(&from[*place])).collect();
         self.forget_all();
         let n = places.len();
         for (i, a) in places.iter().enumerate() {
@@ -217,9 +229,10 @@ impl Filter {
     /// `dt_s` have passed without a reading.
     pub fn age(&mut self, dt_s: f64) {
         let (n, wander) = (self.x.len(), self.prior.len());
-        let share = (dt_s.max(0.0) / self.horizon_s).min(1.0);
+        let share = |horizon_s: f64| (dt_s.max(0.0) / horizon_s).min(1.0);
         for i in 0..wander {
-            self.p[i * n + i] += self.prior[i] * share;
+            let horizon_s = if self.weather.contains(&i) { WEATHER_S } else { self.horizon_s };
+            self.p[i * n + i] += self.prior[i] * share(horizon_s);
         }
         for i in 0..wander {
             let too_wide = self.p[i * n + i] / self.prior[i];
@@ -380,5 +393,26 @@ mod tests {
         filter.age(1e9);
         let oldest = filter.half_widths();
         assert!((oldest[1] - 1.96 * 0.25).abs() < 1e-9 && (oldest[0] - 1.96 * 5.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_value_that_an_event_freed_goes_at_the_pace_of_the_seasons() {
+        let widths = |horizon_s: f64| {
+            let mut filter = Filter::new([horizon_s, 3e4], &[0.0, 0.25], 1.0);
+            filter.age(100.0 * HOUR);
+            assert_eq!(filter.half_widths()[0], 0.0, "it is held");
+            filter.shift((0, 0.0, 3.0));
+            for n in 0..200 {
+                filter.age(HOUR);
+                filter.take(&[1.0, 20.0 + 10.0 * f64::from(n % 5)], 0.0);
+            }
+            let before = filter.p[0];
+            filter.age(100.0 * HOUR);
+            filter.p[0] - before
+        };
+        let expected = 9.0 * 100.0 * HOUR / WEATHER_S;
+        for horizon_s in [1e6, 1e9] {
+            assert!((widths(horizon_s) - expected).abs() < 1e-9, "{horizon_s}");
+        }
     }
 }

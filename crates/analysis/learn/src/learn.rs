@@ -13,7 +13,7 @@ use crate::{
     bank::ENOUGH,
     checks,
     constants::{self, Sensitivity},
-    event::{Event, clock},
+    event::{Action, Event, clock},
     filter::Fate,
     limits::{Limits, times},
     memory::{Change, Memory, StoredReading, digits as hash_digits},
@@ -349,7 +349,9 @@ impl Learner<'_> {
             let said = wear::said(&memory.constants, before, g, &lasting, missed_um, scatter_um);
             memory.window[last].worn = said.iter().map(short).collect();
         }
+        let before = memory.events.clone();
         watch(memory, &mut self.believed);
+        let rests_on = rests_on(memory, &before);
         wear::watch(memory, self.believed.bank.scatter_um()[1]);
         let wanted = self.believed.bank.believed().unwrap_or_else(|| vec![0.0; g.len()]);
         self.look(reading.row);
@@ -367,7 +369,7 @@ impl Learner<'_> {
             } else {
                 memory.proven.get_or_insert_with(|| was_applied.clone());
             }
-            memory.applied = self.limits.step(&memory.applied, &wanted, g);
+            memory.applied = self.limits.step(&memory.applied, &wanted, g, rests_on);
         }
         self.believed.keep(memory);
         list(memory, self.machine, self.quantity, &values, (sequence, was_applied));
@@ -396,6 +398,16 @@ impl Learner<'_> {
         }
         self.looked = self.looked.max(row + 1);
     }
+}
+
+/// Returns how many readings the present change rests on: all since an event that is new, or has another name than `before`; else this
+/// one.
+fn rests_on(memory: &Memory, before: &[Event]) -> u64 {
+    let name = |event: &Event| (event.sequence, event.event, event.constant.clone());
+    let acts = |event: &&Event| matches!(event.action, Action::Zero(_) | Action::Shift(_));
+    let new = memory.events.iter().filter(acts);
+    let new = new.filter(|event| !before.iter().any(|it| name(it) == name(event)));
+    new.map(|event| memory.next().saturating_sub(event.sequence)).max().unwrap_or(1).max(1)
 }
 
 /// Returns why `wanted` may not be applied, in a sentence.

@@ -9,7 +9,8 @@ pub struct Limits {
     pub share: f64,
     /// In no row does all that is learned change the correction by more, in µm; above 0.
     pub total_um: f64,
-    /// One reading never changes the correction by more, where it was taken, in µm; above 0.
+    /// One reading never changes the correction by more, where it was taken, in µm; above 0. An event that rests on three readings
+    /// changes it by at most three times as much.
     pub step_um: f64,
 }
 
@@ -44,11 +45,19 @@ impl Limits {
         (held, is_held)
     }
 
-    /// Returns one reading's way from what is `applied` towards what is `wanted`, where it was taken at `g`.
-    pub(crate) fn step(&self, applied: &[f64], wanted: &[f64], g: &[f64]) -> Vec<f64> {
+    /// Returns the way from what is `applied` towards what is `wanted` that rests on this many readings, of which the last was taken
+    /// at `g`.
+    pub(crate) fn step(
+        &self,
+        applied: &[f64],
+        wanted: &[f64],
+        g: &[f64],
+        readings: u64,
+    ) -> Vec<f64> {
         let way: Vec<f64> = wanted.iter().zip(applied).map(|(to, from)| to - from).collect();
         let um = times(g, &way).abs();
-        let share = if um > self.step_um { self.step_um / um } else { 1.0 };
+        let step_um = self.step_um * readings as f64;
+        let share = if um > step_um { step_um / um } else { 1.0 };
         applied.iter().zip(way).map(|(from, way)| from + share * way).collect()
     }
 }
@@ -71,8 +80,11 @@ mod tests {
         assert_eq!(limits.held(&[0.0, -0.9], &[vec![1.0, 10.0]]), (vec![0.0, -0.3], true));
         let (held, is_held) = limits.held(&[10.0, 0.3], &rows);
         assert!(is_held && (times(&rows[0], &held) - 20.0).abs() < 1e-9, "{held:?}");
-        let stepped = limits.step(&[0.0, 0.0], &[0.0, 0.2], &rows[0]);
-        assert!((times(&rows[0], &stepped) - 2.0).abs() < 1e-9, "{stepped:?}");
+        for readings in [1, 3] {
+            let stepped = limits.step(&[0.0, 0.0], &[0.0, 0.2], &rows[0], readings);
+            let um = 2.0 * readings as f64;
+            assert!((times(&rows[0], &stepped) - um).abs() < 1e-9, "{stepped:?}");
+        }
         // A row in which nothing is known changes nothing.
         assert_eq!(times(&[1.0, f64::NAN], &[1.0, 1.0]), 0.0);
     }

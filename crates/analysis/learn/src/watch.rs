@@ -6,7 +6,7 @@
 //! the estimate is computed anew from its first reading on whenever that changes.
 
 use crate::{
-    constants::unit,
+    constants::{Constant, unit},
     detect::{Alternative, DOUBTFUL, Finding, Fitted, smallest_step_um},
     event::{Action, Event, EventKind, digits},
     memory::Memory,
@@ -43,8 +43,8 @@ pub(crate) fn watch(memory: &mut Memory, believed: &mut Believed) {
         follow(memory, believed, place);
         return;
     }
-    if let Some(last) = abrupt(memory).map(|event| event.sequence).max() {
-        from = from.max(last + 1);
+    if let Some(last) = abrupt(memory).map(settled_after).max() {
+        from = from.max(last);
     }
     search(memory, believed, from);
 }
@@ -53,6 +53,13 @@ pub(crate) fn watch(memory: &mut Memory, believed: &mut Believed) {
 fn abrupt(memory: &Memory) -> impl Iterator<Item = &Event> {
     let is_slow = |event: &Event| matches!(event.event, EventKind::Wear | EventKind::ProbeDrift);
     memory.events.iter().filter(move |event| !is_slow(event))
+}
+
+/// Returns the number of the first reading at which another event may begin. Where constants have changed they are followed first:
+/// what the readings still miss is theirs.
+fn settled_after(event: &Event) -> u64 {
+    let readings = if matches!(event.action, Action::Shift(_)) { OPEN as u64 } else { 1 };
+    event.sequence + readings
 }
 
 /// Names and sizes an open event by the readings until now.
@@ -175,6 +182,19 @@ fn words(memory: &Memory, it: &Fitted) -> (EventKind, Option<String>, f64, Strin
     }
 }
 
+/// Returns the values that may take a part of the air that a moved thermometer no longer shows: all but that of place `own`. A zero
+/// that no file has a place for is none of them: it would only hide what the references are to take.
+fn free_with_air(memory: &Memory, own: Option<usize>) -> Vec<(usize, f64, f64)> {
+    let deviation = |constant: &Constant| match constant.is_reference() {
+        true => (MOVED_C / constant.believed).abs(),
+        false => OTHERS,
+    };
+    let zero = memory.zero.map(|_| (0, 0.0, ANYWHERE_UM));
+    let constants = memory.constants.iter().enumerate();
+    let constants = constants.map(|(index, it)| (index + 1, 0.0, deviation(it)));
+    zero.into_iter().chain(constants.filter(|it| Some(it.0) != own)).collect()
+}
+
 /// Returns what an alternative does to the estimate. A constant changes as it was fitted to all readings after the event,
 /// which bad ones among the first do not move; half of it the readings may still give to others.
 fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
@@ -194,18 +214,67 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
             Action::Shift(std::iter::once(own).chain(others).collect())
         }
         Alternative::Thermometer(_) => {
-            // The constant that stands in best for it, roughly; the air that it no longer shows is in the zero.
+            // The constant that stands in best for it, roughly.
             let stands_in = best.and_then(|it| match it.alternative {
                 Alternative::Constant(index) => Some((index + 1, it.size, it.size.abs() / 2.0)),
                 _ => None,
             });
-            let references =
-                memory.constants.iter().enumerate().filter(|(_, it)| it.is_reference());
-            let references =
-                references.map(|(index, it)| (index + 1, 0.0, (MOVED_C / it.believed).abs()));
-            let zero = std::iter::once((0, 0.0, ANYWHERE_UM));
-            Action::Shift(zero.chain(stands_in).chain(references).collect())
+            let of_air = free_with_air(memory, stands_in.map(|it| it.0));
+            Action::Shift(stands_in.into_iter().chain(of_air).collect())
         }
         Alternative::Scatter => Action::Scatter(acting.size),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use trueup_machine::{MachineFile, file::Quantity};
+
+    use super::*;
+    use crate::reconcile::reconciled;
+
+    /// Returns the keys of what a moved thermometer frees.
+    fn freed(laws: &str, quantity: Quantity) -> Vec<String> {
+        let text = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{laws}");
+        let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("a machine file");
+        let (memory, _) = reconciled(None, &machine, quantity, &mut Vec::new()).expect("a state");
+        free_with_air(&memory, Some(1)).iter().map(|it| memory.key(it.0).to_string()).collect()
+    }
+
+    #[test]
+    fn a_moved_thermometer_frees_no_zero_that_the_file_has_no_place_for() {
+        let axis = "[axis.x]\nfeedback = \"screw\"\n[axis.x.thermal]\nmode = \"position\"\nsensor = \"temp_a_c\"\n\
+                    reference_c = 20.0\nslope_um_per_m_per_c = 11.0\norigin_mm = 0.0\n[axis.x.backlash]\nwidth_um = 4.0\n";
+        assert_eq!(
+            freed(axis, Quantity::Dx),
+            ["axis.x.thermal.reference_c", "axis.x.backlash.width_um"]
+        );
+        let spindle = "[spindle]\nsource = \"temperature\"\n[spindle.temperature]\nsensor = \"temp_a_c\"\n\
+                       reference_c = 20.0\nk_um_per_c = 2.0\n";
+        assert_eq!(freed(spindle, Quantity::Elongation), ["zero"]);
+    }
+
+    #[test]
+    fn changed_constants_are_followed_before_another_event_is_looked_for() {
+        let event = |action: Action| Event {
+            event: EventKind::Unknown,
+            constant: None,
+            at: None,
+            certain_at: None,
+            size: 1.0,
+            unit: String::new(),
+            ci95: [0.0, 2.0],
+            check: String::new(),
+            alternatives: Vec::new(),
+            sequence: 100,
+            action,
+            is_open: false,
+        };
+        assert_eq!(settled_after(&event(Action::Shift(vec![(1, 0.3, 0.25)]))), 124);
+        // Of a step the constants know nothing: the next crash may be tomorrow.
+        assert_eq!(settled_after(&event(Action::Zero(12.0))), 101);
+        assert_eq!(settled_after(&event(Action::Nothing)), 101);
     }
 }

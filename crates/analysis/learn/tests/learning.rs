@@ -280,6 +280,27 @@ fn every_decision_comes_from_the_readings_so_far() {
 }
 
 #[test]
+fn an_event_moves_the_correction_by_the_readings_it_rests_on_and_one_reading_by_one_step() {
+    // Right for fifty readings, then 60 % more: 18 µm at the warmest. A step is 1 µm.
+    let um = |celsius: f64, n: usize| (if n < 50 { 2.0 } else { 3.2 }) * (celsius - 20.0);
+    let whole = record(1e9, 60, um);
+    let limits = Limits { step_um: 1.0, ..Limits::default() };
+    let at = |rows: usize| {
+        let learned = taught(&whole.altered(rows, |_, _| {}), None, &limits);
+        (learned.memory.events, k(&learned.machine))
+    };
+    let found = (51..60).find(|rows| !at(*rows).0.is_empty()).expect("it is found");
+    let rests_on = (found - 50) as f64;
+    let celsius = 25.0 + 10.0 * (((found - 1) % 7) as f64) / 6.0;
+    let moved = |rows: usize| (at(rows).1 - at(rows - 1).1).abs();
+    let moved_um = moved(found) * (celsius - 20.0);
+    assert!(rests_on >= 3.0 && moved_um > 1.5, "{rests_on} {moved_um}");
+    assert!(moved_um <= rests_on + 0.1, "{rests_on} {moved_um}");
+    let celsius = 25.0 + 10.0 * ((found % 7) as f64) / 6.0;
+    assert!(moved(found + 1) * (celsius - 20.0) <= 1.1, "the next reading is one");
+}
+
+#[test]
 fn a_check_of_the_probe_is_taken_off_and_its_absence_is_said() {
     // A machine that its file describes, a probe that drifts by 12 µm in eighty days, a reading each half day.
     let file = |is_checked: bool| {

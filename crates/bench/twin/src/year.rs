@@ -84,9 +84,15 @@ const SLOPE_UM_PER_M_PER_C: f64 = 11.0;
 const WIDTH_UM: f64 = 4.0;
 const WORN_UM: f64 = 9.0;
 
-/// Returns the year of `seed`.
+/// Returns the year of `seed`; one reading in twenty is bad.
 #[must_use]
 pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
+    year_with_bad(seed, kind, happens, BAD)
+}
+
+/// Returns the year of `seed`, of whose readings the share `bad` is bad.
+#[must_use]
+pub fn year_with_bad(seed: u64, kind: Kind, happens: Happens, bad: f64) -> Year {
     let is_spindle = kind == Kind::Spindle;
     let mut stream = Stream::new(seed, if is_spindle { "year spindle" } else { "year axis" });
     let mut probe = Stream::new(seed, "year probe");
@@ -152,7 +158,7 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
             let zero_um = if is_after(2, day) { step_um } else { 0.0 };
             let mut read_um = f64::NAN;
             if probed.contains(&row) {
-                read_um = read(um + zero_um + drift_um, &mut probe);
+                read_um = read(um + zero_um + drift_um, &mut probe, bad);
             }
             let mut check_um = f64::NAN;
             if probed.contains(&row) {
@@ -186,10 +192,10 @@ pub fn year(seed: u64, kind: Kind, happens: Happens) -> Year {
     year
 }
 
-/// Reads a value as a probe does: with noise, and badly now and then.
-fn read(um: f64, probe: &mut Stream) -> f64 {
+/// Reads a value as a probe does: with noise, and the share `bad` badly.
+fn read(um: f64, probe: &mut Stream, bad: f64) -> f64 {
     let read_um = um + NOISE_UM * probe.normal();
-    if probe.chance(BAD) { read_um + probe.sign() * probe.uniform(10.0, 60.0) } else { read_um }
+    if probe.chance(bad) { read_um + probe.sign() * probe.uniform(10.0, 60.0) } else { read_um }
 }
 
 /// Returns the events of the year at these times.
