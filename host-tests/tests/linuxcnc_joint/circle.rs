@@ -75,7 +75,7 @@ addf sampler.0 servo-thread
 net Xpos => sampler.0.pin.0
 net Ypos => sampler.0.pin.1
 ";
-/// What its user knows of the machine.
+/// The user's knowledge of the machine.
 const KNOWN: &str = "\
 [machine]
 name = \"mill\"

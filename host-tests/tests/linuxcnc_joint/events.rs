@@ -243,7 +243,7 @@ pub(crate) fn probing(rig: &mut Rig) -> Result<()> {
     macros(rig)
 }
 
-/// What a job may have left: units, work offset, tool length, `G92`, rotation.
+/// Modes that a job may have left: units, work offset, tool length, `G92`, rotation.
 const JOBS: [&str; 6] = [
     "G21",
     "G10 L2 P2 Z-3\nG55",

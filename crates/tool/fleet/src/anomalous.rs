@@ -32,7 +32,7 @@ const MAX_SHARE: f64 = 0.2;
 /// A machine compared with the others.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Compared {
-    /// What the others predict, in the unit of the value.
+    /// Prediction by the others, in the unit of the value.
     pub predicted: f64,
     /// The deviation in predictive standard deviations.
     pub t: f64,

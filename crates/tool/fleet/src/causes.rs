@@ -13,7 +13,7 @@ use crate::{
     report::Cause,
 };
 
-/// What machines say of a cause.
+/// A cause by all machines.
 #[derive(Default)]
 struct Of<'r> {
     claimed: BTreeSet<&'r str>,

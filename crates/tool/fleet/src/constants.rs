@@ -58,7 +58,7 @@ pub struct Found {
     pub identity: Option<Identity>,
     /// True if it is claimed.
     pub claimed: bool,
-    /// What it explains, RMS in µm.
+    /// RMS in µm that it explains.
     pub explains_um: f64,
     /// Its constants.
     pub constants: Vec<Constant>,

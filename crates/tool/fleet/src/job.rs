@@ -17,10 +17,10 @@ pub struct JobFile {
     pub crc64: String,
 }
 
-/// What is asked of the diagnosis, as the options of `trueup diagnose`.
+/// Request to the diagnosis, as the options of `trueup diagnose`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Request {
-    /// What to compare, where the runs measure several quantities.
+    /// Quantity to compare, where the runs measure several.
     pub quantity: Option<String>,
     /// The size of an error that matters, in µm RMS.
     pub matters_um: Option<f64>,
@@ -49,7 +49,7 @@ pub struct Job {
     pub off: Vec<JobFile>,
     /// Runs that nothing is fitted to.
     pub holdout: Vec<JobFile>,
-    /// What is asked.
+    /// The request.
     pub request: Request,
 }
 
@@ -77,7 +77,7 @@ pub struct Submission {
     pub off: Vec<Content>,
     /// Runs that nothing is fitted to.
     pub holdout: Vec<Content>,
-    /// What is asked.
+    /// The request.
     pub request: Request,
 }
 

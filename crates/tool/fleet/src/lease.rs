@@ -23,7 +23,7 @@ const RELEASED: &str = "released";
 /// The newest lease of each job.
 pub(crate) type Newest = BTreeMap<String, u64>;
 
-/// What a worker has seen of the leases of others.
+/// Leases of others, as a worker has seen them.
 #[derive(Debug)]
 pub(crate) struct Watch {
     length: Duration,

@@ -114,7 +114,7 @@ pub fn pool(machines: &[Estimate]) -> Option<Pooled> {
 /// The lowest τ of the grid, in typical errors of a fit: what is below does the same.
 const LOWEST: f64 = 1e-2;
 
-/// What is known if the spread is `tau`.
+/// Estimate if the spread is `tau`.
 struct At {
     tau: f64,
     mean: f64,

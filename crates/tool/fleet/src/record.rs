@@ -13,7 +13,7 @@ pub struct Record {
     pub day: Option<Day>,
     /// The verdict.
     pub verdict: String,
-    /// What was compared.
+    /// Quantity that was compared.
     pub quantity: String,
     /// What the machine file believes of what was measured: a constant is a deviation from that, and comparable only
     /// where it is the same.
@@ -31,13 +31,13 @@ pub(crate) struct Pooled<'r> {
     pub open: Vec<Open<'r>>,
 }
 
-/// What is open about a constant of one machine.
+/// Open question about a constant of one machine.
 pub(crate) struct Open<'r> {
     pub machine: &'r str,
     /// The value with the help of the others, and its error.
     pub now: Estimate,
     /// The error of one record.
     pub record_se: f64,
-    /// What its cause explains, RMS in µm.
+    /// RMS in µm that its cause explains.
     pub explains_um: f64,
 }

@@ -118,7 +118,7 @@ pub struct Cause {
     pub confirmed: bool,
     /// True if no machine claims it, and at least four that found it exclude together that it does nothing.
     pub supported: bool,
-    /// What it means.
+    /// Its meaning.
     pub sentence: String,
 }
 
@@ -149,6 +149,6 @@ pub struct Next {
     pub doubt_um: f64,
     /// The same after one more record like the last.
     pub after_um: f64,
-    /// What it means.
+    /// Its meaning.
     pub sentence: String,
 }

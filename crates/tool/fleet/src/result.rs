@@ -33,7 +33,7 @@ pub struct Done {
 /// A result with its files.
 #[derive(Clone, Debug)]
 pub struct Stored {
-    /// What it is of.
+    /// The quantity.
     pub done: Done,
     /// The content of each file, by its name.
     pub files: BTreeMap<String, Vec<u8>>,

@@ -1,4 +1,4 @@
-//! What the results of all machines say together.
+//! Joins the results of all machines.
 //!
 //! ```text
 //! results ─► constants by machine ─► over its days (drift) ─► compared with the others (odd)
@@ -23,7 +23,7 @@ use crate::{
 /// A constant: what the machine file believes, the finding, and the parameter.
 type Key<'r> = (&'r str, &'r str, &'r str);
 
-/// What one record says of a constant.
+/// A constant by one record.
 #[derive(Clone, Copy, Debug)]
 struct Reading {
     day: Option<Day>,

@@ -22,7 +22,7 @@ const COMMON_SHARE: f64 = 0.25;
 /// The fewest machines on which it is.
 const MIN_COMMON: usize = 3;
 
-/// What is to be fitted to a record.
+/// The terms to be fitted to a record.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Asked {
     /// The causes of the model.

@@ -61,7 +61,7 @@ pub enum Failure {
     Worker(String),
 }
 
-/// What a diagnosis hands to the worker, which writes it: the names and the content of the files.
+/// Files that a diagnosis hands to the worker, which writes them: names and content.
 pub type Files = Vec<(&'static str, Vec<u8>)>;
 
 /// Makes the diagnosis of a job whose result will stand in the folder.
@@ -78,7 +78,7 @@ pub struct Options {
     pub until_empty: bool,
 }
 
-/// What the workers of this process have done.
+/// Work done by this process.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
     /// Jobs with a result of theirs.
@@ -137,7 +137,7 @@ struct Team<'t> {
     failed: AtomicUsize,
 }
 
-/// What there is to do.
+/// Work to do.
 enum Next {
     Job(String, Lease),
     /// Other workers have what is left.

@@ -1,6 +1,6 @@
 //! The few lines of LinuxCNC's .ini that decide how offsets move.
 //!
-//! LinuxCNC exports the file's name as `INI_FILE_NAME` to everything it starts. What is read:
+//! LinuxCNC exports the file's name as `INI_FILE_NAME` to everything it starts. Keys that are read:
 //! `[EMCMOT]SERVO_PERIOD`, `[TRAJ]LINEAR_UNITS`, and `MAX_VELOCITY`, `MAX_ACCELERATION`,
 //! `OFFSET_AV_RATIO` of `[AXIS_X]`, `[AXIS_Y]`, `[AXIS_Z]`, and `[TRAJ]COORDINATES`: a lathe has no Y. As LinuxCNC does it, the first section of a name
 //! alone counts, the first line with a name wins, `#` and `;` begin a comment, and what is not there has LinuxCNC's own default.
@@ -36,7 +36,7 @@ impl AxisMotion {
     }
 }
 
-/// What the file says.
+/// Content of the file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ini {
     /// The servo cycle in seconds.
@@ -186,7 +186,7 @@ fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), 
 pub struct BadIni {
     /// Its line and column, from 1.
     pub place: (usize, usize),
-    /// What is wrong.
+    /// The fault.
     pub rule: String,
 }
 

@@ -7,7 +7,7 @@
 //!  eoffset-request ─► follower ─► x-counts ─► axis.x.eoffset-counts
 //! ```
 //!
-//! What is decided ([`offsets`], [`follower`], [`sender`], put together in [`component`]) is `trueup-linuxcnc-core`: it takes time
+//! The decisions ([`offsets`], [`follower`], [`sender`], put together in [`component`]) are `trueup-linuxcnc-core`: it takes time
 //! and inputs as arguments and knows no HAL, so that a test can drive it through years. [`hal`] is
 //! the only file with `unsafe`, [`pins`] names every pin, [`trueup_client::line`] keeps the
 //! connection to the bridge alive, [`status`] puts the pins into words, [`record`] writes down what `trueup learn` needs of the past,

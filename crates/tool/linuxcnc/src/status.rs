@@ -1,4 +1,4 @@
-//! What the component's pins say of a LinuxCNC that runs: from the text of `halcmd` to a sentence.
+//! The pins of a component that runs, in words: from the text of `halcmd` to a sentence.
 
 use std::collections::BTreeMap;
 

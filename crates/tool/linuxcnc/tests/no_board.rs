@@ -1,4 +1,4 @@
-//! What setup writes for a bridge without a board, and what it misses.
+//! Setup for a bridge without a board: the lines that it writes, and the inputs that it misses.
 
 use std::{fs, path::Path};
 

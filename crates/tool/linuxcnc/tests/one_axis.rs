@@ -140,7 +140,7 @@ fn pace(slew_um_per_s: f64, acceleration_mm_per_s2: f64) -> Pace {
     }
 }
 
-/// What happens in a stretch of cycles.
+/// Events of a stretch of cycles.
 #[derive(Clone, Debug)]
 enum Event {
     Goal(Option<i32>),

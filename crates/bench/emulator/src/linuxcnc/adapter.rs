@@ -36,7 +36,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// What `N` answers.
 const SERIAL_NUMBER: u16 = 2;
 
-/// What both sides touch.
+/// State of both sides.
 struct Shared {
     port: Port,
     from_cnc: VecDeque<Frame>,

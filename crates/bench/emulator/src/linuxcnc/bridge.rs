@@ -42,7 +42,7 @@ const MEASURED_MS: u64 = 2_000;
 /// took without them.
 const MARGIN: f64 = 1.5;
 
-/// What the bridge is made of: the machine file as it is, and the one for the warm-up.
+/// Parts of the bridge: the machine file as it is, and the one for the warm-up.
 pub enum Images {
     /// In QEMU: the image, and both calibrations.
     Qemu(PathBuf, [Vec<u8>; 2]),

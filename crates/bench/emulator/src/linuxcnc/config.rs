@@ -36,7 +36,7 @@ const STAIR_DWELL_S: f64 = 1.0;
 /// The spindle's speed in r/min.
 pub const SPINDLE_RPM: f64 = 24_000.0;
 
-/// What a program does, as it says on `motion.analog-out-01`.
+/// Steps of a program, as it says them on `motion.analog-out-01`.
 pub mod phase {
     /// The diagonal.
     pub const DIAGONAL: u32 = 1;

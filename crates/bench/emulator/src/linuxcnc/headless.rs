@@ -39,7 +39,7 @@ const STEP: Duration = Duration::from_millis(20);
 /// How often it is started when it loses its own race for shared memory; see [`left_over`].
 const ATTEMPTS: u32 = 3;
 const SCREEN: &str = include_str!("screen.py");
-/// What a configuration gives as its `DISPLAY`, in the folder.
+/// The `DISPLAY` of a configuration, in the folder.
 pub const DISPLAY: &str = "screen.sh";
 
 /// A running LinuxCNC.

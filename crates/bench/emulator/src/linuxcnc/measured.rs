@@ -15,7 +15,7 @@ use trueup_twin::Scenario;
 
 /// The machine, as the twin takes it.
 const TWIN: &str = include_str!("machine.toml");
-/// What its user knows without measuring.
+/// The user's knowledge without measuring.
 const BASE: &str = include_str!("base.toml");
 /// Seeds of the measured runs; the loop itself has another.
 const SEEDS: [u64; 5] = [11, 12, 13, 14, 15];

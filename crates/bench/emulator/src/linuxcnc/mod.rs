@@ -77,7 +77,7 @@ use crate::{
 /// this computer is fast enough; on the model of the chip than the board.
 pub const COMPRESSION: u32 = 72;
 
-/// What the firmware runs on.
+/// Where the bridge runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum On {

@@ -58,7 +58,7 @@ net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb
 net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 ";
 
-/// What an axis has, as lines of an INI file.
+/// Lines of an axis in the INI file.
 #[derive(Clone, Debug)]
 pub struct Axis {
     /// Limits and speeds, of the axis and its joint.

@@ -1,4 +1,4 @@
-//! What in a configuration stands in the way of offsets, and what they will cost or reach.
+//! Finds the obstacles to offsets in a configuration, and says what they will cost or reach.
 
 use trueup_machine::BadInput;
 
@@ -25,7 +25,7 @@ const PERCENT: f64 = 100.0;
 const MS: f64 = 1e3;
 const UM_PER_MM: f64 = 1e3;
 
-/// What a check has found.
+/// Result of a check.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Errors and warnings in the order of the checks.
@@ -278,7 +278,7 @@ fn at_joint(joint: &Joint, base: &Ini, demand: &Demand, report: &mut Report) {
     ));
 }
 
-/// What external offsets cost and reach.
+/// Cost and speed of external offsets.
 fn at_axes(ini: &IniLines, joints: &[Joint], base: &Ini, demand: &Demand, report: &mut Report) {
     for (axis, name) in AXES.iter().enumerate() {
         if joints.iter().all(|joint| joint.axis != axis) {

@@ -62,7 +62,7 @@ pub struct Demand {
     pub slew_um_per_s: f64,
     /// True for each axis whose pitch or backlash the machine file corrects; `None` without a machine file.
     pub corrects_screw: Option<[bool; 3]>,
-    /// What the machine file needs from LinuxCNC next to positions and speed.
+    /// Inputs of the machine file from LinuxCNC next to positions and speed.
     pub inputs: Vec<NamedInput>,
     /// The angles of rotary axes are sent.
     pub sends_angles: bool,

@@ -1,4 +1,4 @@
-//! What of ours is in a configuration already: by setup, or by hand.
+//! Finds our lines in a configuration: by setup, or by hand.
 
 use trueup_machine::Location;
 
@@ -22,7 +22,7 @@ pub struct Bridge {
     pub position_period_ms: u64,
 }
 
-/// What setup has written before.
+/// Lines that setup has written before.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Installed {
     /// Where offsets enter.

@@ -23,7 +23,7 @@ const LINUXCNC_DEFAULT: f64 = 1.0;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 const LETTERS: &str = "XYZABCUVW";
 
-/// What the drive of a joint has above what the planner uses.
+/// The headroom of a drive above the planner's use.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Headroom {
     /// Largest value of the planner, in machine units per second (squared).

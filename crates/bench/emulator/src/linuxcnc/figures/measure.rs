@@ -31,7 +31,7 @@ pub struct Lag {
     pub worst_ms: f64,
     /// The steepest error on Z along the diagonal, in µm/mm.
     pub steepest_um_per_mm: f64,
-    /// What the lag costs there at 10 m/min, in µm.
+    /// Error by the lag there at 10 m/min, in µm.
     pub costs_um_at_10_m_per_min: f64,
 }
 

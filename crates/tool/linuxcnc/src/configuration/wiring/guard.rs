@@ -1,4 +1,4 @@
-//! What stands still while the component is gone: the feed, and the offsets at the joints.
+//! Stops the feed and the offsets at the joints while the component is gone.
 //!
 //! ```text
 //!  component.heartbeat ─► oneshot ─┬─► not ─► motion.feed-inhibit
