@@ -136,6 +136,9 @@ pub(crate) fn ended(rig: &mut Rig) -> Result<()> {
 /// down, with one below down as well. The signal of a component that has ended has no writer, so the test writes it.
 fn stands_whatever_the_goal(rig: &mut Rig, names: &[&str]) -> Result<()> {
     const GOAL: &str = "trueup-j0-offset";
+    // Its speed is taken to 0 by a ramp of 6 ms, which begins when the feed is held.
+    let speeds = ["trueup-mv.offset-vel-0", "trueup-mv.offset-vel-1", "trueup-mv.offset-vel-2"];
+    rig.cnc.wait("the offsets are held", 5, &speeds, |seen| seen == [0.0; 3])?;
     let goal = rig.cnc.pin("trueup-mv.offset-in-0")?;
     let before = rig.cnc.pins(names)?;
     for mm in [goal + 0.15, goal - 0.15] {
