@@ -35,7 +35,7 @@ const DEMAND: Demand = Demand {
     slew_um_per_s: 1_200.0,
     corrects_screw: Some([true; 3]),
     inputs: Vec::new(),
-    sends_angles: false,
+    angles: 0,
     no_board: None,
 };
 
@@ -311,6 +311,15 @@ fn inputs_of_the_machine_file_come_in_by_their_names_with_a_board_too() {
         );
     }
     assert!(said.len() == 4 && report.is_usable(), "{said:?}");
+    // An angle that nothing drives would be 0: none is sent.
+    let one = "net trueup-angle-1 axis.c.pos-cmd\n";
+    for own in ["", one] {
+        let case = Case::new(&whole(), &format!("{HAL}{own}"));
+        Case::write(&case.set_up(&demand(Entry::Joint)).expect("reads").1);
+        let files = case.files();
+        let text = &files.iter().find(|it| it.0 == "trueup.hal").expect("written").1;
+        assert!(!text.contains("--rotary"), "{text}");
+    }
     let own = "net trueup-condition-03 drive.flood\nnet trueup-tool iocontrol.0.tool-number\n\
         net trueup-angle-1 axis.c.pos-cmd\nnet trueup-angle-2 axis.a.pos-cmd\nnet trueup-service drive.key\n";
     for entry in [Entry::Joint, Entry::Eoffset] {

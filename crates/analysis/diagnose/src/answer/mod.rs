@@ -213,7 +213,7 @@ pub(crate) fn conclude(
     Ok(diagnosis)
 }
 
-/// What the model leaves.
+/// The residual of the model.
 struct Left {
     repeats: Option<Repeats>,
     /// The noise of a reading.

@@ -59,6 +59,9 @@ pub struct Run {
     pub log: Vec<String>,
 }
 
+/// At the joint the estimate of the lag says nothing: it is found from the rest of the error, which moves it by more.
+pub const NO_MEASUREMENT: &str = "At the joint this lag is no measurement: the error that the machine file leaves moves it by some milliseconds.";
+
 /// One claim and what came of it.
 #[derive(Clone, Debug, Serialize)]
 pub struct Check {
@@ -383,8 +386,12 @@ impl Figures {
             );
         }
         let Lag { worst_ms, steepest_um_per_mm, costs_um_at_10_m_per_min, .. } = self.lag;
+        let estimate = match self.way.by {
+            By::Joint => format!("{NO_MEASUREMENT}\n"),
+            By::Eoffset => String::new(),
+        };
         text + &format!(
-            "\nThe lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
+            "\n{estimate}The lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
              error is steepest\n({steepest_um_per_mm:.3} um/mm) it costs {costs_um_at_10_m_per_min:.2} um at \
              10 m/min.\nThe arc: {:.1} -> {:.1} um radially, {:.1} -> {:.1} um on Z.\n\
              A second in motion took {} of the wall. Two hours of warm-up took {:.0} s, {:.0} times as fast;\n\

@@ -150,7 +150,7 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     let bar = ProgressBar::new_spinner();
     bar.set_style(ProgressStyle::with_template("{spinner} {elapsed} {msg}")?);
     bar.enable_steady_tick(Duration::from_millis(200));
-    let tell = |what: &str| {
+    let announce = |what: &str| {
         // Also where nobody watches a bar.
         bar.suspend(|| {
             trueup_output::diagnostic(format_args!(
@@ -161,9 +161,9 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
         bar.set_message(what.to_owned());
     };
 
-    let Some((trueup, measured, images)) = prepared(way, &tell)? else { return Ok(None) };
+    let Some((trueup, measured, images)) = prepared(way, &announce)? else { return Ok(None) };
 
-    tell("starting the bridge and LinuxCNC");
+    announce("starting the bridge and LinuxCNC");
     let twin = measured::twin()?;
     let inputs = measured.machine.inputs.as_ref().context("the machine file has its inputs")?;
     let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
@@ -172,7 +172,7 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     let bridge = Bridge::start(images, wiring)?;
     let slower = bridge.slower();
     if slower > 1 {
-        tell(&format!("a second of the board is given {slower} of the wall, and so is the CNC's"));
+        announce(&format!("a second of the board is given {slower} of the wall, and so is the CNC's"));
     }
     let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
     let mut cnc = start(&trueup, &plant, &measured, way, control)?;
@@ -180,15 +180,15 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     plant.listen(cycles);
     cnc.switch_on()?;
 
-    tell("the path without compensation");
+    announce("the path without compensation");
     cnc.set("trueup.0.enable", 0)?;
     cut(&mut cnc, &mut plant, "path-1.ngc")?;
-    tell("the path with compensation");
+    announce("the path with compensation");
     cnc.set("trueup.0.enable", 1)?;
     engaged(&mut cnc, &mut plant)?;
     cut(&mut cnc, &mut plant, "path-2.ngc")?;
 
-    tell(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
+    announce(&format!("two hours of warm-up, {COMPRESSION} times as fast"));
     // Without a board the machine file is that of the warm-up from the start.
     if on != On::Servo {
         plant.swap();
@@ -200,7 +200,7 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     let warm_up = Instant::now();
     warm_up_phase(&mut cnc, &mut plant)?;
     let warm_up_wall_s = warm_up.elapsed().as_secs_f64();
-    tell("five axes, at real time");
+    announce("five axes, at real time");
     while cnc.is_busy()? {
         plant.check()?;
         ensure!(warm_up.elapsed() < PATIENCE * SLOWEST * slower, "the program does not end");
@@ -214,7 +214,7 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     let names = [of_line, &["fault"]].concat();
     let pins: Vec<String> = names.iter().map(|name| format!("trueup.0.{name}")).collect();
     let errors = cnc.pins(&pins.iter().map(String::as_str).collect::<Vec<_>>())?;
-    tell("ending");
+    announce("ending");
     drop(sampler);
     cnc.end()?;
     let log = plant.take_log();
@@ -237,8 +237,8 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
 }
 
 /// Builds the bridge and the tool, and measures the machine; `None`: the compiler is too old for the model of the chip.
-fn prepared(way: Way, tell: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured, Images)>> {
-    tell("building the firmware and the host tool");
+fn prepared(way: Way, announce: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured, Images)>> {
+    announce("building the firmware and the host tool");
     let trueup = programs::trueup()?;
     // The image, the program that is the chip, or the library of the component.
     let firmware = match way.on {
@@ -247,7 +247,7 @@ fn prepared(way: Way, tell: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured,
         On::Servo => Some(programs::servo_library()?),
     };
     let Some(firmware) = firmware else { return Ok(None) };
-    tell("measuring the machine, fitting its machine file");
+    announce("measuring the machine, fitting its machine file");
     let measured = {
         let work = tempfile::tempdir()?;
         measured::measure(&trueup, work.path())?
@@ -255,7 +255,7 @@ fn prepared(way: Way, tell: &impl Fn(&str)) -> Result<Option<(PathBuf, Measured,
     let images = match way.on {
         On::Qemu => Images::Qemu(firmware, blobs(&measured)?),
         On::Chip => {
-            tell("building the images of this machine");
+            announce("building the images of this machine");
             Images::Chip(firmware, images(&measured, &way.folder())?)
         }
         On::Servo => Images::Servo(firmware),

@@ -4,7 +4,7 @@ use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
 
 use super::{
     By, On,
-    figures::{Check, ErrorCurve, Figures, Stair},
+    figures::{Check, ErrorCurve, Figures, NO_MEASUREMENT, Stair},
 };
 
 /// Returns the page.
@@ -142,7 +142,8 @@ fn of_lag(figures: &Figures) -> String {
         ),
         By::Joint => "the limits of the offset at the joint".into(),
     };
-    format!("The lag contains: {way_there}, and {at_last}.")
+    let estimate = if figures.way.by == By::Joint { NO_MEASUREMENT } else { "" };
+    format!("The lag contains: {way_there}, and {at_last}. {estimate}")
 }
 
 fn compressed(figures: &Figures) -> String {

@@ -37,7 +37,7 @@ enum Neutral {
     Believed,
 }
 
-/// What an amplitude of 1 adds where the nonlinear values and the inputs are these.
+/// Effect of an amplitude of 1, at these nonlinear values and inputs.
 type Law = fn(&[f64], &[f64]) -> f64;
 
 /// A cause with one number. Its functions get that number, or the value that is fitted.
@@ -71,7 +71,7 @@ struct OneNumber {
 }
 
 impl OneNumber {
-    /// What most of them say.
+    /// The entries of most causes.
     const USUAL: Self = Self {
         name: "",
         home: Target::Any,

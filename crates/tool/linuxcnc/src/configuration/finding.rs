@@ -64,8 +64,8 @@ pub struct Demand {
     pub corrects_screw: Option<[bool; 3]>,
     /// Inputs of the machine file from LinuxCNC next to positions and speed.
     pub inputs: Vec<NamedInput>,
-    /// The angles of rotary axes are sent.
-    pub sends_angles: bool,
+    /// How many angles of rotary axes the machine file has.
+    pub angles: usize,
     /// The bridge runs in the servo thread; `None`: on a board.
     pub no_board: Option<NoBoard>,
 }
@@ -88,7 +88,7 @@ impl Demand {
             slew_um_per_s,
             corrects_screw,
             inputs: machine.map(inputs::of_control).unwrap_or_default(),
-            sends_angles: machine.is_some_and(|it| !it.angle_axes().is_empty()),
+            angles: machine.map_or(0, |it| it.angle_axes().len()),
             no_board: None,
         }
     }

@@ -43,6 +43,13 @@ pub(super) fn missing(demand: &Demand, ini: &IniLines, hal: &HalFiles) -> Vec<Fi
     missing.map(finding).collect()
 }
 
+/// Returns whether the angles are sent: all of them have a signal. A pin that nothing drives is 0 degrees, which would turn an
+/// offset; without angles the bridge knows that it has none.
+pub(super) fn sends_angles(demand: &Demand, hal: &HalFiles) -> bool {
+    let has = |number| hal.names(&format!("trueup-angle-{number}"));
+    demand.angles > 0 && (1..=demand.angles).all(has)
+}
+
 /// Returns the lines that connect the inputs which HAL files bring.
 pub(super) fn wires(demand: &Demand, hal: &HalFiles) -> String {
     let own: &[(&str, &str)] = if demand.no_board.is_some() { &OF_NO_BOARD } else { &OF_BOARD };

@@ -30,18 +30,19 @@ pub const FUNCTION: &str = "trueup.0";
 pub(super) const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;
 
-/// Returns the lines that load the component and set it.
+/// Returns the lines that load the component and set it; `sends_angles`: those of the rotary axes are connected.
 pub(super) fn load(
     no_board: &NoBoard,
     ini: &IniLines,
     joints: &[Joint],
     demand: &Demand,
+    sends_angles: bool,
 ) -> String {
     let mut text = format!("\nloadrt {MODULE} file=[TRUEUP](CALIBRATION) heat=[TRUEUP](HEAT)");
     if demand.entry == Entry::Joint {
         let _ = write!(text, " joints={}", letters(joints));
     }
-    if demand.sends_angles {
+    if sends_angles {
         text.push_str(" rotary=1");
     }
     text.push('\n');

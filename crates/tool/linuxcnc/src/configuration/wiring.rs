@@ -129,7 +129,13 @@ impl Writer<'_> {
             ("servo-thread".into(), vec!["motion-command-handler".into(), CONTROLLER.into()])
         });
         if let Some(no_board) = &demand.no_board {
-            text += &servo_lines::load(no_board, self.ini, joints, demand);
+            text += &servo_lines::load(
+                no_board,
+                self.ini,
+                joints,
+                demand,
+                input_wires::sends_angles(demand, self.hal),
+            );
         }
         match demand.entry {
             Entry::Joint => self.at_joints(&mut text, joints, demand, &thread, &functions),
@@ -289,7 +295,7 @@ impl Writer<'_> {
             Some(_) => " --machine [TRUEUP](MACHINE)",
             None => "",
         };
-        let angles = if demand.sends_angles { " --rotary" } else { "" };
+        let angles = if input_wires::sends_angles(demand, self.hal) { " --rotary" } else { "" };
         let mut text = if demand.no_board.is_some() {
             format!(
                 "{WRITTEN}\n# What keeps the heat over a restart, and the wires of {MODULE}.\n\n\
