@@ -172,7 +172,9 @@ pub fn run(way: Way) -> Result<Option<Figures>> {
     let bridge = Bridge::start(images, wiring)?;
     let slower = bridge.slower();
     if slower > 1 {
-        announce(&format!("a second of the board is given {slower} of the wall, and so is the CNC's"));
+        announce(&format!(
+            "a second of the board is given {slower} of the wall, and so is the CNC's"
+        ));
     }
     let mut plant = Plant::start(bridge, Twin::new(&twin, LOOP_SEED))?;
     let mut cnc = start(&trueup, &plant, &measured, way, control)?;
