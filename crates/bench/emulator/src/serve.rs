@@ -10,7 +10,7 @@ use std::{
     os::unix::net::UnixStream,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU32, Ordering},
     },
     thread,
     time::{Duration, Instant},
@@ -64,6 +64,8 @@ const FREE_BATCH: u32 = 20;
 /// Bytes that may wait for a client, a third of a second: offsets in a queue grow old. When it is
 /// full the board's time stands still until he reads.
 const CLIENT_QUEUE: usize = 16 * 1024;
+/// Time for which the board's answer to `O` is awaited.
+const ANSWER: Duration = Duration::from_secs(1);
 /// The board's clock may fall behind by this much before it slips.
 const LARGEST_BACKLOG_MS: f64 = 200.0;
 /// Time for which the first row is held before the run begins again, in s of the board: the bridge takes the offset of a hot
@@ -119,9 +121,9 @@ fn play(
     AtMachine { hand, gauge }: &AtMachine,
     stop: &AtomicBool,
 ) -> Result<()> {
-    let opened = Arc::new(AtomicBool::new(false));
+    let opening = Arc::new(Opening::default());
     let heard = Arc::new(ReceivedFrames::default());
-    share_line(listener, board.serial()?, opened.clone(), heard.clone())?;
+    share_line(listener, board.serial()?, opening.clone(), heard.clone())?;
     let mut stand_in = StandIn::default();
     let is_over = |board: &mut VirtualBoard| -> Result<bool> {
         tell(board);
@@ -161,7 +163,11 @@ fn play(
     match source {
         SampleSource::Run { replay, speed } => {
             trueup_output::diagnostic("the replay starts when a client opens the channel");
-            while !opened.load(Ordering::Relaxed) {
+            let mut asked = None;
+            while !opening.is_answered() {
+                if opening.is_asked() && asked.get_or_insert_with(Instant::now).elapsed() > ANSWER {
+                    break;
+                }
                 if is_over(board)? {
                     return Ok(());
                 }
@@ -266,6 +272,45 @@ fn tell(board: &VirtualBoard) {
     }
 }
 
+/// The first `O` of a client, up to the board's answer to it: what the board sends before has nobody who
+/// hears it, and the first millisecond already has the boot-up message.
+///
+/// While the board's time stands still, it says one end of a line for each line that it takes.
+#[derive(Default)]
+struct Opening {
+    lines: AtomicU32,
+    answers: AtomicU32,
+    /// The number of the line with the first `O`; 0: there was none.
+    at: AtomicU32,
+}
+
+impl Opening {
+    fn take_line(&self, opens: bool) {
+        let line = self.lines.fetch_add(1, Ordering::SeqCst) + 1;
+        if opens {
+            self.at.compare_exchange(0, line, Ordering::SeqCst, Ordering::SeqCst).ok();
+        }
+    }
+
+    fn take_answers(&self, said: &[u8]) {
+        let ends = said.iter().filter(|&&byte| is_end(byte)).count();
+        self.answers.fetch_add(u32::try_from(ends).unwrap_or(0), Ordering::SeqCst);
+    }
+
+    fn is_asked(&self) -> bool {
+        self.at.load(Ordering::SeqCst) != 0
+    }
+
+    fn is_answered(&self) -> bool {
+        self.is_asked() && self.answers.load(Ordering::SeqCst) >= self.at.load(Ordering::SeqCst)
+    }
+}
+
+/// Whether this byte ends what the board says.
+const fn is_end(byte: u8) -> bool {
+    matches!(byte, CR | BELL)
+}
+
 /// A client of the port.
 struct Client {
     stream: TcpStream,
@@ -278,21 +323,22 @@ struct Client {
 fn share_line(
     listener: TcpListener,
     line: UnixStream,
-    opened: Arc<AtomicBool>,
+    opening: Arc<Opening>,
     heard: Arc<ReceivedFrames>,
 ) -> Result<()> {
     let client: Arc<Mutex<Option<Client>>> = Arc::default();
     let mut from_board = line.try_clone()?;
     let to_client = client.clone();
+    let answered = opening.clone();
     thread::spawn(move || {
         let mut bytes = [0; 4096];
         let mut in_line = false;
         while let Ok(length @ 1..) = from_board.read(&mut bytes) {
             let mut said = &bytes[..length];
-            let is_end = |byte: &u8| [CR, BELL].contains(byte);
+            answered.take_answers(said);
             let stream = lock(&to_client).as_mut().and_then(|client| {
                 if client.is_new && in_line {
-                    let end = said.iter().position(is_end);
+                    let end = said.iter().position(|&byte| is_end(byte));
                     said = end.map_or(&[], |end| &said[end + 1..]);
                     client.is_new = end.is_none();
                 } else {
@@ -300,7 +346,7 @@ fn share_line(
                 }
                 client.stream.try_clone().ok()
             });
-            in_line = !is_end(&bytes[length - 1]);
+            in_line = !is_end(bytes[length - 1]);
             // With no client, or one that has just gone, the bytes have nobody to go to.
             if let Some(mut stream) = stream {
                 stream.write_all(said).ok();
@@ -309,7 +355,7 @@ fn share_line(
     });
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            if let Err(error) = serve_client(stream, &client, &line, &opened, &heard) {
+            if let Err(error) = serve_client(stream, &client, &line, &opening, &heard) {
                 trueup_output::diagnostic(format_args!("a client is gone: {error}"));
             }
             lock(&client).take();
@@ -327,7 +373,7 @@ fn serve_client(
     mut stream: TcpStream,
     client: &Mutex<Option<Client>>,
     mut line: &UnixStream,
-    opened: &AtomicBool,
+    opening: &Opening,
     heard: &ReceivedFrames,
 ) -> io::Result<()> {
     stream.set_nodelay(true)?;
@@ -343,7 +389,6 @@ fn serve_client(
             trueup_output::diagnostic(format_args!("client {peer} has closed its connection"));
             return Ok(());
         }
-        let mut opens = false;
         for &byte in &bytes[..length] {
             if byte != CR {
                 command.push(byte);
@@ -351,11 +396,10 @@ fn serve_client(
                 continue;
             }
             let said = std::mem::take(&mut command);
-            opens |= said.trim_ascii_start() == b"O";
+            opening.take_line(said.trim_ascii_start() == b"O");
             heard.note(said.trim_ascii_start());
         }
         line.write_all(&bytes[..length])?;
-        opened.fetch_or(opens, Ordering::Relaxed);
     }
 }
 
