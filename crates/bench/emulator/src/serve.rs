@@ -10,7 +10,7 @@ use std::{
     os::unix::net::UnixStream,
     sync::{
         Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, AtomicU32, Ordering},
+        atomic::{AtomicBool, Ordering},
     },
     thread,
     time::{Duration, Instant},
@@ -22,12 +22,12 @@ use rustix::{
     process::{Pid, Signal, kill_process},
 };
 use trueup_core::{cnc::Output, units::NANOMETRES_PER_MICROMETRE};
-use trueup_link::{
-    receiver::OffsetReceiver,
-    slcan::{BELL, CR},
-};
+use trueup_link::{receiver::OffsetReceiver, slcan::CR};
 use trueup_pipe::Block;
 
+mod opening;
+
+use self::opening::{Opening, is_end};
 use crate::{
     board::{LARGEST_BATCH, MAY_WAIT, VirtualBoard},
     front_end::FrontEnd,
@@ -64,8 +64,6 @@ const FREE_BATCH: u32 = 20;
 /// Bytes that may wait for a client, a third of a second: offsets in a queue grow old. When it is
 /// full the board's time stands still until he reads.
 const CLIENT_QUEUE: usize = 16 * 1024;
-/// Time for which the board's answer to `O` is awaited.
-const ANSWER: Duration = Duration::from_secs(1);
 /// The board's clock may fall behind by this much before it slips.
 const LARGEST_BACKLOG_MS: f64 = 200.0;
 /// Time for which the first row is held before the run begins again, in s of the board: the bridge takes the offset of a hot
@@ -163,11 +161,7 @@ fn play(
     match source {
         SampleSource::Run { replay, speed } => {
             trueup_output::diagnostic("the replay starts when a client opens the channel");
-            let mut asked = None;
-            while !opening.is_answered() {
-                if opening.is_asked() && asked.get_or_insert_with(Instant::now).elapsed() > ANSWER {
-                    break;
-                }
+            while !opening.is_over() {
                 if is_over(board)? {
                     return Ok(());
                 }
@@ -270,45 +264,6 @@ fn tell(board: &VirtualBoard) {
     for line in board.take_log() {
         trueup_output::diagnostic(format_args!("board: {line}"));
     }
-}
-
-/// The first `O` of a client, up to the board's answer to it: what the board sends before has nobody who
-/// hears it, and the first millisecond already has the boot-up message.
-///
-/// While the board's time stands still, it says one end of a line for each line that it takes.
-#[derive(Default)]
-struct Opening {
-    lines: AtomicU32,
-    answers: AtomicU32,
-    /// The number of the line with the first `O`; 0: there was none.
-    at: AtomicU32,
-}
-
-impl Opening {
-    fn take_line(&self, opens: bool) {
-        let line = self.lines.fetch_add(1, Ordering::SeqCst) + 1;
-        if opens {
-            self.at.compare_exchange(0, line, Ordering::SeqCst, Ordering::SeqCst).ok();
-        }
-    }
-
-    fn take_answers(&self, said: &[u8]) {
-        let ends = said.iter().filter(|&&byte| is_end(byte)).count();
-        self.answers.fetch_add(u32::try_from(ends).unwrap_or(0), Ordering::SeqCst);
-    }
-
-    fn is_asked(&self) -> bool {
-        self.at.load(Ordering::SeqCst) != 0
-    }
-
-    fn is_answered(&self) -> bool {
-        self.is_asked() && self.answers.load(Ordering::SeqCst) >= self.at.load(Ordering::SeqCst)
-    }
-}
-
-/// Whether this byte ends what the board says.
-const fn is_end(byte: u8) -> bool {
-    matches!(byte, CR | BELL)
 }
 
 /// A client of the port.
