@@ -48,19 +48,19 @@ mod stack;
 mod status_led;
 mod stopwatch;
 mod store;
+mod stored;
 mod thermometers;
 mod watchdog;
 
 use cortex_m::peripheral::{SCB, SYST, syst::SystClkSource};
 use defmt_rtt as _;
 use stm32f4xx_hal::{
-    gpio::PinState::High,
     pac,
     prelude::*,
     rcc::{Enable as _, Reset as _},
 };
 
-use super::{Buffer, Faults, Parts, references, reset_ram};
+use super::{Buffer, Faults, Parts, reset_ram};
 use crate::liveness::{self, Task};
 pub use backup::Backup;
 pub use brown_out::BrownOut;
@@ -76,20 +76,13 @@ pub use serial::{SerialIn, SerialOut};
 pub use service_switch::ServiceSwitch;
 pub use status_led::Lamp;
 pub use store::Store;
+use stored::Stored;
 pub use thermometers::Thermometers;
 use trueup_core::thermometer::Thermometer;
 use trueup_link::status::ResetReason;
 use trueup_node::start::{Start, Stop};
-use trueup_store::calibration;
 use watchdog::Reset;
 pub use watchdog::Watchdog;
-
-/// Calibration that the host compiled from the machine file, linked into the image. One that was loaded over it
-/// counts instead.
-static CALIBRATION: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/calibration.bin"));
-
-/// It is the example's, because the image was built without a machine file.
-const IS_EXAMPLE: bool = matches!(env!("TRUEUP_EXAMPLE").as_bytes(), b"1");
 
 /// After a power cut it is not known how warm the machine is.
 pub const COLD_AT_START: bool = false;
@@ -118,26 +111,11 @@ pub fn start(
     let mut brown_out = BrownOut::look(reset);
     keep_debugger_connected(&device.DBGMCU);
 
-    // Before anything runs that an erase would hold up.
-    let [calibrations, flash] = Flash::split(device.FLASH);
-    let own = calibration::whole(CALIBRATION).map_or(0, calibration::identity);
-    let base = (!IS_EXAMPLE).then_some(own);
-    let (store, loaded, is_older) = Store::open(calibrations, base, buffer, || watchdog.feed());
-    watchdog.feed();
-    let is_example = IS_EXAMPLE && loaded.is_none();
-    let blob = calibration::whole(loaded.unwrap_or(CALIBRATION));
-    let calibration =
-        blob.and_then(|blob| Ok((calibration::identity(blob), calibration::decode(blob)?)));
-    let identity = calibration.as_ref().map_or(0, |(identity, _)| *identity);
-    let references = references::open(flash, identity, || watchdog.feed());
-    watchdog.feed();
-    let kept = &references.1;
-    if loaded.is_none() && kept.standing.is_none() && kept.named.is_none() {
+    let stored = Stored::open(device.FLASH, buffer, &mut watchdog);
+    if stored.is_new {
         // Nobody waits for a new board.
         brown_out.raise(&mut watchdog);
     }
-    let calibration = calibration.map(|(_, calibration)| calibration);
-    let blob = if calibration.is_ok() { blob.unwrap_or_default() } else { &[] };
 
     let gpioa = device.GPIOA.split(&mut rcc);
     let gpiob = device.GPIOB.split(&mut rcc);
@@ -153,52 +131,20 @@ pub fn start(
         transmit: gpiob.pb10,
         receive: gpiob.pb11,
         drive: gpiob.pb12,
-        rate: gpiob.pb5.into_pull_up_input().erase(),
-        parity: gpiob.pb6.into_pull_up_input().erase(),
-        address: [
-            gpioc.pc8.into_pull_up_input().erase(),
-            gpioc.pc9.into_pull_up_input().erase(),
-            gpioc.pc10.into_pull_up_input().erase(),
-            gpioc.pc11.into_pull_up_input().erase(),
-        ],
+        rate: gpiob.pb5,
+        parity: gpiob.pb6,
+        address: (gpioc.pc8, gpioc.pc9, gpioc.pc10, gpioc.pc11),
     };
     let plc = rs485::start(device.USART3, device.TIM5, plc_pins, &mut rcc);
     let (can_in, can_out, can_answers) =
         can::start(device.CAN1, gpiob.pb9, gpiob.pb8, source, &mut rcc);
-    let faults = Faults {
-        crystal: !matches!(source, Source::Crystal { .. }),
-        pll: source == Source::Internal,
-        can: !can_answers,
-        watchdog_reset: reset == Reset::Watchdog,
-        stopped: matches!(
-            began.reason,
-            ResetReason::Panic
-                | ResetReason::HardFault
-                | ResetReason::StackOverflow
-                | ResetReason::Registers
-        ),
-    };
-    let selects = [
-        gpioc.pc0.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc1.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc2.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc3.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc4.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc5.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc6.into_push_pull_output_in_state(High).erase(),
-        gpioc.pc7.into_push_pull_output_in_state(High).erase(),
-    ];
-    let known = calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
-    let mains = calibration.as_ref().map(|it| it.guards.mains).unwrap_or_default();
+    let selects =
+        (gpioc.pc0, gpioc.pc1, gpioc.pc2, gpioc.pc3, gpioc.pc4, gpioc.pc5, gpioc.pc6, gpioc.pc7);
+    let known = stored.calibration.as_ref().map(|it| it.thermometers).unwrap_or_default();
+    let mains = stored.calibration.as_ref().map(|it| it.guards.mains).unwrap_or_default();
     let plan = sampling::Plan::at(rcc.clocks.pclk2().raw());
-    let mut thermometers = thermometers::start(
-        device.SPI2,
-        (gpiob.pb13, gpiob.pb14, gpiob.pb15),
-        selects,
-        known,
-        mains,
-        &mut rcc,
-    );
+    let bus = (gpiob.pb13, gpiob.pb14, gpiob.pb15);
+    let mut thermometers = thermometers::start(device.SPI2, bus, selects, known, mains, &mut rcc);
     let chain = sampling::Chain {
         tim3: device.TIM3,
         tim2: device.TIM2,
@@ -229,21 +175,39 @@ pub fn start(
         idle: Idle,
         thermometers,
         service_switch: ServiceSwitch::new(gpiob.pb7),
-        calibration,
-        references,
-        faults,
-        blob,
-        is_older,
-        is_example,
+        calibration: stored.calibration,
+        references: stored.references,
+        faults: faults(source, can_answers, reset, began.reason),
+        blob: stored.blob,
+        is_older: stored.is_older,
+        is_example: stored.is_example,
         retained: reset_ram::take(),
         backup: Backup::start(device.PWR, device.RTC, reset, &mut rcc),
-        loading: Some((buffer, store)),
+        loading: Some((buffer, stored.store)),
         watchdog,
         brown_out,
         start: began,
         self_test,
         serial_number,
         chip: identity::words(&device.DBGMCU),
+    }
+}
+
+/// Returns the faults of this start.
+#[inline(always)]
+fn faults(source: Source, can_answers: bool, reset: Reset, reason: ResetReason) -> Faults {
+    Faults {
+        crystal: !matches!(source, Source::Crystal { .. }),
+        pll: source == Source::Internal,
+        can: !can_answers,
+        watchdog_reset: reset == Reset::Watchdog,
+        stopped: matches!(
+            reason,
+            ResetReason::Panic
+                | ResetReason::HardFault
+                | ResetReason::StackOverflow
+                | ResetReason::Registers
+        ),
     }
 }
 

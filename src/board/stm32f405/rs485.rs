@@ -15,7 +15,7 @@
 //! 42, 36 and 16 MHz reach both rates to within 0.16 %.
 
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Input, Output, PB10, PB11, PB12, Pull},
+    gpio::{ErasedPin, Output, PB5, PB6, PB10, PB11, PB12, PC8, PC9, PC10, PC11, Pull},
     pac::{TIM5, USART3},
     rcc::{Enable, Rcc, Reset},
 };
@@ -32,23 +32,31 @@ const RUNS: u32 = (1 << 13) | (1 << 5) | (1 << 3) | (1 << 2);
 const NINE_BITS: u32 = 1 << 12;
 const PARITY: u32 = 1 << 10;
 
-/// The pins; the switches' are pulled up.
+/// The pins.
 pub struct Pins {
     pub transmit: PB10,
     pub receive: PB11,
     pub drive: PB12,
-    pub rate: ErasedPin<Input>,
-    pub parity: ErasedPin<Input>,
+    pub rate: PB5,
+    pub parity: PB6,
     /// Their weights in the address: 1, 2, 4, 8.
-    pub address: [ErasedPin<Input>; 4],
+    pub address: (PC8, PC9, PC10, PC11),
 }
 
 /// Sets up the line and its clock.
 pub fn start(usart: USART3, timer: TIM5, pins: Pins, rcc: &mut Rcc) -> Plc {
+    let rate = pins.rate.into_pull_up_input().erase();
+    let parity = pins.parity.into_pull_up_input().erase();
+    let address = [
+        pins.address.0.into_pull_up_input().erase(),
+        pins.address.1.into_pull_up_input().erase(),
+        pins.address.2.into_pull_up_input().erase(),
+        pins.address.3.into_pull_up_input().erase(),
+    ];
     cortex_m::asm::delay(SETTLE_CYCLES);
-    let unit = 1 + pins.address.iter().rev().fold(0, |sum, it| sum << 1 | u8::from(it.is_low()));
-    let baud = if pins.rate.is_low() { 115_200 } else { 19_200 };
-    let has_parity = pins.parity.is_high();
+    let unit = 1 + address.iter().rev().fold(0, |sum, it| sum << 1 | u8::from(it.is_low()));
+    let baud = if rate.is_low() { 115_200 } else { 19_200 };
+    let has_parity = parity.is_high();
 
     let drive = pins.drive.into_push_pull_output().erase();
     pins.transmit.into_alternate::<7>();

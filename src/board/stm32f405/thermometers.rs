@@ -13,7 +13,10 @@ use embedded_hal::{
     spi::{Error, ErrorKind, ErrorType, MODE_1, Operation, SpiDevice},
 };
 use stm32f4xx_hal::{
-    gpio::{ErasedPin, Output, PB13, PB14, PB15, Pull},
+    gpio::{
+        ErasedPin, Output, PB13, PB14, PB15, PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7,
+        PinState::High, Pull,
+    },
     pac::SPI2,
     prelude::*,
     rcc::Rcc,
@@ -44,7 +47,7 @@ const SELECT_CYCLES: u32 = 84;
 /// The pins that the converters share.
 pub type Bus = (PB13, PB14, PB15);
 /// The pins that select them, in the order of the channels.
-pub type Selects = [ErasedPin<Output>; TEMPERATURES];
+pub type Selects = (PC0, PC1, PC2, PC3, PC4, PC5, PC6, PC7);
 
 /// One channel.
 struct Channel {
@@ -75,6 +78,16 @@ pub fn start(
     mains: Mains,
     rcc: &mut Rcc,
 ) -> Thermometers {
+    let selects = [
+        selects.0.into_push_pull_output_in_state(High).erase(),
+        selects.1.into_push_pull_output_in_state(High).erase(),
+        selects.2.into_push_pull_output_in_state(High).erase(),
+        selects.3.into_push_pull_output_in_state(High).erase(),
+        selects.4.into_push_pull_output_in_state(High).erase(),
+        selects.5.into_push_pull_output_in_state(High).erase(),
+        selects.6.into_push_pull_output_in_state(High).erase(),
+        selects.7.into_push_pull_output_in_state(High).erase(),
+    ];
     // Pulled up, so that a line with nobody on it reads as 1.
     let miso = miso.into_alternate().internal_resistor(Pull::Up);
     let pins = (Some(sck), Some(miso), Some(mosi));

@@ -53,7 +53,7 @@ struct Limits {
 const LIMITS: Limits = Limits {
     circles: 0,
     long_files: 0,
-    long_functions: 1,
+    long_functions: 0,
     arrows: 2,
     strangers: 0,
     nowhere: 0,

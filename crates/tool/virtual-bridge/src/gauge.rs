@@ -1,0 +1,179 @@
+//! A gauge at the tool of a virtual bridge: what the machine does by the run file, less what the CNC has taken away by
+//! the offsets. With it a run without and a run with compensation can be measured on a computer alone.
+//!
+//! It sends as gauges do: a value a line, in µm, to each client of its port.
+
+use std::{
+    io::Write as _,
+    net::{TcpListener, TcpStream},
+    sync::{Arc, Mutex, PoisonError},
+    thread,
+    time::Duration,
+};
+
+use anyhow::{Context as _, Result};
+use trueup_core::cnc::Output;
+use trueup_machine::{Machine, file::Kind};
+
+use crate::plant::Answer;
+
+/// From one value to the next.
+const PERIOD: Duration = Duration::from_millis(100);
+
+/// The parts of a reading, in µm along the tool.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Shown {
+    growth_um: f64,
+    /// How far the offsets have moved what carries the gauge's counterpart: the housing, on a lathe the turret.
+    moved_um: f64,
+}
+
+/// The gauge; its copies show the same.
+#[derive(Clone, Debug)]
+pub struct Gauge {
+    /// `None`: the run file does not say what the tool does.
+    shown: Arc<Mutex<Option<Shown>>>,
+    tool_direction: [f64; 3],
+    /// The part that the offsets move.
+    carrier: &'static str,
+}
+
+impl Gauge {
+    /// Returns the gauge of a machine, which shows nothing yet.
+    #[must_use]
+    pub fn new(machine: &Machine) -> Self {
+        let carrier = if machine.kind == Kind::Lathe { "turret" } else { "housing" };
+        Self { shown: Arc::default(), tool_direction: machine.tool_direction, carrier }
+    }
+
+    /// Takes what the tool does at this moment, and the newest offsets, if there are some.
+    pub(crate) fn take(&self, growth_um: Option<f64>, output: Option<&Output>) {
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(growth_um) = growth_um else {
+            *shown = None;
+            return;
+        };
+        let moved_um = match output.map(Answer::from) {
+            // No frame has come: the axis stands where it stood.
+            None => shown.map_or(0.0, |it| it.moved_um),
+            Some(Answer { offset_um, .. }) => {
+                let along = offset_um.iter().zip(self.tool_direction);
+                along.map(|(offset, direction)| offset.unwrap_or(0.0) * direction).sum()
+            }
+        };
+        *shown = Some(Shown { growth_um, moved_um });
+    }
+
+    fn shown(&self) -> Option<Shown> {
+        *self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns what is left at the tool, in µm.
+    fn left_um(&self) -> Option<f64> {
+        self.shown().map(|it| it.growth_um + it.moved_um)
+    }
+
+    /// Returns both readings in words.
+    #[must_use]
+    pub fn text(&self) -> String {
+        match self.shown() {
+            Some(it) => format!(
+                "a gauge at the tool shows {:+.2} µm, one at the {} {:+.2} µm (+ the way the tool points)",
+                it.growth_um + it.moved_um,
+                self.carrier,
+                it.moved_um
+            ),
+            None => "the run has no measured_elongation_um that a gauge could show".into(),
+        }
+    }
+
+    /// Sends readings to each client that connects to `address`, `HOST:PORT`.
+    ///
+    /// # Errors
+    /// The port is in use.
+    pub fn listen(&self, address: &str) -> Result<()> {
+        let listener = TcpListener::bind(address).with_context(|| {
+            format!(
+                "cannot listen at tcp:{address}; is another program, or another bridge, using it?"
+            )
+        })?;
+        trueup_output::diagnostic(format_args!(
+            "the gauge is at tcp:{}, in µm",
+            listener.local_addr()?
+        ));
+        let gauge = self.clone();
+        thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let gauge = gauge.clone();
+                thread::spawn(move || gauge.speak(stream));
+            }
+        });
+        Ok(())
+    }
+
+    /// Until the other side has gone.
+    fn speak(&self, mut stream: TcpStream) {
+        loop {
+            if let Some(um) = self.left_um()
+                && writeln!(stream, "{um:.2}").is_err()
+            {
+                return;
+            }
+            thread::sleep(PERIOD);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        io::{BufRead as _, BufReader},
+        path::Path,
+    };
+
+    use trueup_core::{
+        cnc::{Flags, Quality},
+        units::Nanometres,
+    };
+    use trueup_machine::MachineFile;
+
+    use super::*;
+
+    fn machine(kind: &str) -> Machine {
+        let text = format!("[machine]\nname = \"m\"\nkind = \"{kind}\"\n");
+        MachineFile::parse(&text, Path::new("m.toml")).expect("a machine file")
+    }
+
+    fn lifted(nm: i32) -> Output {
+        let offset = Some([0, 0, nm].map(Nanometres));
+        Output { offset, quality: Quality::Live, flags: Flags::NONE, age_ms: 1 }
+    }
+
+    #[test]
+    fn an_offset_takes_the_growth_away_and_is_kept_until_the_next_one() {
+        let gauge = Gauge::new(&machine("3-axis"));
+        assert!(gauge.text().contains("no measured_elongation_um"), "{}", gauge.text());
+        gauge.take(Some(42.0), None);
+        assert_eq!(gauge.left_um(), Some(42.0));
+        gauge.take(Some(42.0), Some(&lifted(40_000)));
+        gauge.take(Some(42.5), None);
+        assert_eq!(gauge.left_um(), Some(2.5));
+        assert!(gauge.text().contains("tool shows +2.50 µm, one at the housing -40.00 µm"));
+        // None is given: the CNC has taken it back.
+        gauge.take(Some(42.5), Some(&Output { offset: None, ..lifted(0) }));
+        assert_eq!(gauge.left_um(), Some(42.5));
+        assert!(Gauge::new(&machine("lathe")).carrier == "turret");
+    }
+
+    #[test]
+    fn it_says_a_value_a_line() {
+        let gauge = Gauge::new(&machine("lathe"));
+        let free = TcpListener::bind("127.0.0.1:0").and_then(|it| it.local_addr());
+        let address = free.expect("a free port").to_string();
+        gauge.listen(&address).expect("it was free");
+        gauge.take(Some(7.125), Some(&lifted(5_000)));
+        let stream = TcpStream::connect(&address).expect("it listens");
+        let line = BufReader::new(stream).lines().next().expect("a line").expect("text");
+        assert_eq!(line, "2.12");
+    }
+}

@@ -1,0 +1,212 @@
+//! One QEMU with one image in it, ended with its owner.
+
+use std::{
+    fs,
+    io::Read,
+    os::unix::net::UnixStream,
+    path::{Path, PathBuf},
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::Arc,
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context as _, Result, bail};
+
+use crate::program::{find, output};
+
+/// The emulator's program, and the package that has it.
+pub const PROGRAM: &str = "qemu-system-arm";
+/// The oldest version that has what the board needs.
+const OLDEST: (u32, u32) = (7, 2);
+
+/// How long QEMU may take to open its sockets, and the board to say that it is up.
+pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// The longest path that the kernel takes for a socket, in bytes.
+const LONGEST_SOCKET_PATH: usize = 107;
+
+/// Returns the path of QEMU.
+///
+/// # Errors
+/// It is not on the search path, or it is too old.
+pub fn program() -> Result<PathBuf> {
+    let path = find(PROGRAM).context("qemu-system-arm is not on PATH")?;
+    let said = output(Command::new(&path).arg("--version"))?;
+    let version = said.split("version ").nth(1).unwrap_or_default();
+    let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));
+    let version = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
+    if version < OLDEST {
+        bail!(
+            "{} is version {}.{}; {}.{} or newer is needed",
+            path.display(),
+            version.0,
+            version.1,
+            OLDEST.0,
+            OLDEST.1
+        );
+    }
+    Ok(path)
+}
+
+/// A folder that is removed with the last emulator in it.
+pub type Folder = Arc<tempfile::TempDir>;
+
+/// Returns a new, empty one.
+///
+/// # Errors
+/// There is no place for temporary files.
+pub fn new_folder() -> Result<Folder> {
+    Ok(Arc::new(tempfile::Builder::new().prefix("trueup-").tempdir()?))
+}
+
+/// A running emulator. Dropping it ends the process.
+pub struct Qemu {
+    child: Child,
+    folder: Folder,
+}
+
+impl Qemu {
+    /// Starts the image in a folder of its own, which `prepare` fills first. `arguments` are QEMU's
+    /// beyond machine and image; its working directory is the folder.
+    ///
+    /// # Errors
+    /// QEMU is missing or too old, or does not start.
+    pub fn start(
+        image: &Path,
+        arguments: &[&str],
+        prepare: impl FnOnce(&Path) -> Result<()>,
+    ) -> Result<Self> {
+        Self::start_in(new_folder()?, image, arguments, prepare)
+    }
+
+    /// The same in a folder that there is already: what an earlier image has left, this one finds.
+    ///
+    /// # Errors
+    /// As [`Qemu::start`].
+    pub fn start_in(
+        folder: Folder,
+        image: &Path,
+        arguments: &[&str],
+        prepare: impl FnOnce(&Path) -> Result<()>,
+    ) -> Result<Self> {
+        let qemu = program()?;
+        let image = fs::canonicalize(image)
+            .with_context(|| format!("there is no firmware image {}", image.display()))?;
+        let longest = folder.path().as_os_str().len() + "/doorbell.sock".len();
+        if longest > LONGEST_SOCKET_PATH {
+            bail!(
+                "the folder for temporary files, {}, is too long a name for a socket in it; set \
+                   TMPDIR to a shorter one",
+                folder.path().display()
+            );
+        }
+        prepare(folder.path())?;
+        // With setpriv the kernel ends QEMU when this process dies, however it dies.
+        let mut command = match find("setpriv") {
+            Some(setpriv) => {
+                let mut command = Command::new(setpriv);
+                command.args(["--pdeathsig", "KILL"]).arg(qemu);
+                command
+            }
+            None => Command::new(qemu),
+        };
+        command
+            .args(["-machine", "netduinoplus2", "-display", "none", "-monitor", "none"])
+            .arg("-kernel")
+            .arg(image)
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(fs::File::create(folder.path().join("qemu.err"))?);
+        let child = command.spawn().context("cannot start QEMU")?;
+        Ok(Self { child, folder })
+    }
+
+    /// Returns a path in the emulator's folder.
+    #[must_use]
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Returns the emulator's folder.
+    #[must_use]
+    pub fn folder(&self) -> Folder {
+        self.folder.clone()
+    }
+
+    /// Returns the process id, for those who want to end it from outside.
+    #[must_use]
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Returns what the image writes by semihosting; it can be taken once.
+    ///
+    /// # Errors
+    /// It was taken before.
+    pub fn stdout(&mut self) -> Result<ChildStdout> {
+        self.child.stdout.take().context("QEMU's standard output is taken")
+    }
+
+    /// Connects to a socket that QEMU opens.
+    ///
+    /// # Errors
+    /// QEMU has ended, or does not open it in time.
+    pub fn connect(&mut self, name: &str) -> Result<UnixStream> {
+        let end = Instant::now() + BOOT_TIMEOUT;
+        loop {
+            if let Ok(stream) = UnixStream::connect(self.path(name)) {
+                return Ok(stream);
+            }
+            self.check()?;
+            if Instant::now() > end {
+                bail!("QEMU does not open its socket {name}");
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Fails if QEMU has ended, with what it said.
+    ///
+    /// # Errors
+    /// It has.
+    pub fn check(&mut self) -> Result<()> {
+        if let Some(status) = self.child.try_wait()? {
+            bail!("QEMU has ended ({status}){}", self.said());
+        }
+        Ok(())
+    }
+
+    /// Returns the error for a channel to the board that has broken off.
+    #[must_use]
+    pub fn broken(&mut self, what: &str) -> anyhow::Error {
+        // The pipes close a moment before the process can be seen to have ended.
+        for _ in 0..100 {
+            if let Err(error) = self.check() {
+                return error.context(what.to_owned());
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        anyhow::anyhow!("{what}, though QEMU is still running{}", self.said())
+    }
+
+    fn said(&self) -> String {
+        let mut said = String::new();
+        let read =
+            fs::File::open(self.path("qemu.err")).and_then(|mut f| f.read_to_string(&mut said));
+        match (read, said.trim()) {
+            (Ok(_), "") | (Err(_), _) => String::new(),
+            (Ok(_), said) => format!(": {said}"),
+        }
+    }
+}
+
+impl Drop for Qemu {
+    fn drop(&mut self) {
+        // It may have ended already; there is nothing else to do about a failure here.
+        self.child.kill().ok();
+        self.child.wait().ok();
+    }
+}
