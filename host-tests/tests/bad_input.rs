@@ -23,12 +23,7 @@ use support::{
 };
 use tempfile::TempDir;
 use trueup_core::cnc::Quality;
-use trueup_emulator::{
-    board::VirtualBoard,
-    firmware::{self, Board},
-    front_end::FrontEnd,
-    process, setup,
-};
+use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, process, setup};
 use trueup_link::{
     frames::{self, State},
     receiver::OffsetReceiver,
@@ -385,7 +380,7 @@ fn a_broken_calibration_gives_no_offset_and_the_log_says_why() -> Result<()> {
         blob[at] ^= 0x04;
         blob
     };
-    let image = firmware::build(Board::Virtual)?;
+    let image = firmware::build_virtual()?;
     let blobs = [
         // The mark, the layout's number, a limit, the sensor's slope, the checksum itself.
         (flipped(0), "Magic { found: "),

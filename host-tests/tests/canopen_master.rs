@@ -17,12 +17,7 @@ use trueup_core::{
     cnc::{Control, Output, Quality},
     units::Rpm,
 };
-use trueup_emulator::{
-    board::VirtualBoard,
-    firmware::{self, Board},
-    front_end::FrontEnd,
-    setup,
-};
+use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, setup};
 use trueup_link::{
     frame::Frame,
     frames,
@@ -214,7 +209,7 @@ impl Bus {
 
 #[test]
 fn a_loaded_calibration_is_used_from_the_next_start_and_a_dead_store_is_told() -> Result<()> {
-    let image = firmware::build(Board::Virtual)?;
+    let image = firmware::build_virtual()?;
     let (old, new) = (compiled(1.0)?, compiled(0.5)?);
     let mut bus = Bus::new(VirtualBoard::boot(&image, old.blob())?);
     let loaded = bus.board.flash().with_file_name("loaded.bin");

@@ -9,15 +9,12 @@ use trueup_demo::{
     page,
     summary::Summary,
 };
-use trueup_emulator::{
-    firmware::{self, Board},
-    setup,
-};
+use trueup_emulator::{firmware, setup};
 use trueup_machine::{MachineFile, RunFile};
 
 #[test]
 fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings() {
-    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let image = firmware::build_virtual().expect("the image builds");
     let path = setup::root().join("data/paper_spindle.toml");
     let source = MachineFile::read_text(&path).expect("the project's own");
     let run =
@@ -60,7 +57,7 @@ fn the_finder_says_what_the_paper_got_wrong_and_the_board_shows_what_that_brings
 #[test]
 #[ignore = "long: ten shifts of the emulated board, three times each"]
 fn hidden_faults_are_found_on_the_board_as_in_this_process() {
-    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let image = firmware::build_virtual().expect("the image builds");
     let (mut right, mut kept) = (0, 0);
     for seed in 0..10 {
         let hidden = Hidden::draw(seed).expect("a machine that can be told");

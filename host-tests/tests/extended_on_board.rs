@@ -10,6 +10,7 @@
 
 use std::{fmt::Write as _, path::Path};
 
+use trueup_campaigns::hidden::{Hidden, draw};
 use trueup_core::{
     channels::RawTemperatures,
     cnc::{Control, Output, Spindle},
@@ -18,7 +19,7 @@ use trueup_core::{
 use trueup_diagnose::{Diagnosis, diagnose};
 use trueup_emulator::{
     board::{LARGEST_BATCH, VirtualBoard},
-    firmware::{self, Board},
+    firmware,
     front_end::FrontEnd,
     replay::Replay,
     setup,
@@ -28,7 +29,6 @@ use trueup_link::{frames, receiver::OffsetReceiver};
 use trueup_machine::{Machine, MachineFile, RunFile, compile};
 use trueup_measured_data::file as data;
 use trueup_pipe::Block;
-use trueup_twin::hidden::{Hidden, draw};
 
 /// The gain may be off its prediction by this share of it.
 const SHARE: f64 = 0.05;
@@ -86,7 +86,7 @@ fn left_by_the_board(
     row_s: Option<f64>,
 ) -> Vec<f64> {
     let compiled = compile(machine).expect("what was extended compiles");
-    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let image = firmware::build_virtual().expect("the image builds");
     let mut board = VirtualBoard::boot(&image, compiled.blob()).expect("the board boots");
     let mut front_end = FrontEnd::new(DIVIDER, 1);
     let (mut stand_in, received) = (StandIn::default(), ReceivedFrames::default());

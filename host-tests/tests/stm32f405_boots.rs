@@ -14,6 +14,7 @@ use trueup_emulator::{
     firmware::{self, Board},
     qemu::Qemu,
     rtt::{MONITOR_ARGUMENTS, Monitor},
+    setup,
 };
 use trueup_link::{
     receiver::OffsetReceiver,
@@ -24,6 +25,7 @@ use trueup_link::{
 /// start of QEMU, and the log.
 fn boot() -> Result<(Output, Duration, Vec<String>)> {
     let image = firmware::build(Board::Stm32f405)?;
+    setup::qemu()?;
     let started = Instant::now();
     let serial = ["-serial", "unix:serial.sock,server=on,wait=on"];
     let mut qemu = Qemu::start(&image, &[serial, MONITOR_ARGUMENTS].concat(), |_| Ok(()))?;

@@ -11,7 +11,7 @@ use trueup_core::{
 use trueup_emulator::{
     board::{self, VirtualBoard},
     cnc::Cnc,
-    firmware::{self, Board},
+    firmware,
     front_end::FrontEnd,
     setup,
 };
@@ -33,7 +33,7 @@ fn compiled() -> Compiled {
 }
 
 fn boot() -> VirtualBoard {
-    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let image = firmware::build_virtual().expect("the image builds");
     VirtualBoard::boot(&image, compiled().blob()).expect("the board boots")
 }
 

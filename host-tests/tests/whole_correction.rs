@@ -11,7 +11,7 @@ use trueup_core::{
 };
 use trueup_emulator::{
     board::{LARGEST_BATCH, VirtualBoard},
-    firmware::{self, Board},
+    firmware,
     front_end::FrontEnd,
     setup,
 };
@@ -25,7 +25,7 @@ fn machine(text: &str) -> Machine {
 }
 
 fn boot(compiled: &Compiled) -> VirtualBoard {
-    let image = firmware::build(Board::Virtual).expect("the image builds");
+    let image = firmware::build_virtual().expect("the image builds");
     VirtualBoard::boot(&image, compiled.blob()).expect("the board boots")
 }
 

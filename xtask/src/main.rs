@@ -30,7 +30,7 @@ use trueup_demo::{
 use trueup_emulator::{
     chip,
     firmware::{self, Board},
-    images, linuxcnc, measure, setup, size, slots, virtual_bridge,
+    images, linuxcnc, measure, setup, size, slots,
 };
 use trueup_machine::{BadInput, MachineFile, RunFile};
 
@@ -244,7 +244,7 @@ struct Virtual {
     #[arg(long, value_name = "M.toml")]
     machine: Option<PathBuf>,
     #[command(flatten)]
-    options: virtual_bridge::Options,
+    options: trueup_virtual_bridge::Options,
 }
 
 #[derive(Args)]
@@ -330,7 +330,7 @@ fn make_release(key: Option<&Path>) -> Result<()> {
 }
 
 fn run_demo(options: &Demo) -> Result<()> {
-    let image = firmware::build(Board::Virtual)?;
+    let image = firmware::build_virtual()?;
     let started = Instant::now();
     let root = setup::root();
     let or = |path: &Option<PathBuf>, own: &str| path.clone().unwrap_or_else(|| root.join(own));
@@ -442,11 +442,8 @@ fn any_seed() -> u64 {
 }
 
 fn run_hidden(seeds: u64, first: u64, tools: u64, on_board: bool) -> Result<()> {
-    let boards = if on_board {
-        Boards::Emulated(firmware::build(Board::Virtual)?)
-    } else {
-        Boards::InProcess
-    };
+    let boards =
+        if on_board { Boards::Emulated(firmware::build_virtual()?) } else { Boards::InProcess };
     type Draw = fn(u64) -> Result<Hidden>;
     let all: [(u64, &str, Draw); 2] =
         [(seeds, "", Hidden::draw), (tools, "that change their tools: ", Hidden::draw_with_tools)];
@@ -468,6 +465,6 @@ fn run_virtual(asked: Virtual) -> Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
     let flag = stop.clone();
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("signal handler")?;
-    let image = || firmware::build(Board::Virtual);
-    virtual_bridge::run(&machine, &asked.options, image, stop)
+    let image = || firmware::build_virtual();
+    trueup_virtual_bridge::run(&machine, &asked.options, image, stop)
 }

@@ -39,7 +39,7 @@ const SOURCES: [&str; 17] = [
     "crates/board/max31865/src",
     "crates/board/modbus/src",
     "crates/board/node/src",
-    "crates/bench/pipe/src",
+    "crates/board/pipe/src",
     "crates/board/signature/src",
     "crates/board/store/src",
 ];

@@ -15,7 +15,7 @@ use trueup_core::{
 };
 use trueup_emulator::{
     board::{LARGEST_BATCH, VirtualBoard},
-    firmware::{self, Board},
+    firmware,
 };
 use trueup_link::{frame::Frame, frames};
 use trueup_machine::{Compiled, MachineFile, compile};
@@ -99,7 +99,7 @@ fn on_the_host(compiled: &Compiled, blocks: &[Block]) -> Vec<i32> {
 }
 
 fn on_the_virtual_board(compiled: &Compiled, blocks: &[Block]) -> Result<Vec<i32>> {
-    let image = firmware::build(Board::Virtual)?;
+    let image = firmware::build_virtual()?;
     let mut board = VirtualBoard::boot(&image, compiled.blob())?;
     let mut sent = Vec::new();
     for batch in blocks.chunks(LARGEST_BATCH as usize) {

@@ -21,12 +21,7 @@ use std::{
 use anyhow::{Context as _, Result};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use trueup_emulator::{
-    board::VirtualBoard,
-    firmware::{self, Board},
-    front_end::FrontEnd,
-    serve,
-};
+use trueup_emulator::{board::VirtualBoard, firmware, front_end::FrontEnd, serve};
 use trueup_link::slcan::CR;
 use trueup_machine::{Machine, compile};
 use trueup_pipe::Block;
@@ -78,7 +73,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Bridge {
     /// Boots the board for this machine; its line is plugged in.
     pub fn start(machine: &Machine) -> Result<Self> {
-        let image = firmware::build(Board::Virtual)?;
+        let image = firmware::build_virtual()?;
         let calibration = compile(machine)?.blob().to_vec();
         let divider = machine.inputs.as_ref().and_then(|inputs| inputs.sensor.as_ref());
         let divider = divider.context("a machine with a sensor")?.divider;

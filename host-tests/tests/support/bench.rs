@@ -12,7 +12,7 @@ use trueup_core::{
 };
 use trueup_emulator::{
     board::{LARGEST_BATCH, VirtualBoard},
-    firmware::{self, Board},
+    firmware,
     front_end::FrontEnd,
     setup,
 };
@@ -43,7 +43,7 @@ pub struct Bench {
 
 impl Bench {
     pub fn boot(calibration: &Compiled) -> Self {
-        let image = firmware::build(Board::Virtual).expect("the image builds");
+        let image = firmware::build_virtual().expect("the image builds");
         let board = VirtualBoard::boot(&image, calibration.blob()).expect("the board boots");
         Self::around(image, board)
     }

@@ -21,10 +21,7 @@ use std::{
 
 use anyhow::{Context as _, Result, bail, ensure};
 use tempfile::TempDir;
-use trueup_emulator::{
-    firmware::{self, Board},
-    programs,
-};
+use trueup_emulator::{firmware, programs};
 
 /// A machine whose offsets need no minutes to arrive.
 pub const FAST_MACHINE: &str = "\
@@ -87,7 +84,7 @@ pub fn xtask() -> Result<Command> {
     static PROGRAM: OnceLock<Result<PathBuf, String>> = OnceLock::new();
     let program = PROGRAM.get_or_init(|| {
         let build = || {
-            firmware::build(Board::Virtual)?;
+            firmware::build_virtual()?;
             programs::build("xtask", "xtask")
         };
         build().map_err(|error| format!("{error:#}"))

@@ -4,7 +4,7 @@
 //! cargo run --release -p trueup-diagnose --example inputs -- [DRAWS [FIRST SEED [CONTROLS]]]
 //! ```
 //!
-//! For each kind of [`trueup_twin::inputs`]: in how many draws all columns are named and claimed, something foreign is
+//! For each kind of [`trueup_campaigns::inputs`]: in how many draws all columns are named and claimed, something foreign is
 //! claimed, and 85 % of what can go is gone on another day; then how many days without an effect have a claim.
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
@@ -12,8 +12,8 @@
 mod score;
 
 use score::{Worth, worth};
+use trueup_campaigns::inputs::{KINDS, Kind};
 use trueup_numerics::parallel::on_all_cores;
-use trueup_twin::inputs::{KINDS, Kind};
 
 fn main() {
     let mut numbers = std::env::args().skip(1).map(|it| it.parse::<u64>().expect("whole numbers"));

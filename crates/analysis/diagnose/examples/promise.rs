@@ -11,10 +11,10 @@
 
 use std::{env, path::Path};
 
+use trueup_campaigns::hidden::{Hidden, draw};
 use trueup_diagnose::{diagnose, report::Report};
 use trueup_machine::{MachineFile, RunFile};
 use trueup_numerics::robust::median;
-use trueup_twin::hidden::{Hidden, draw};
 
 /// More than this less than expected is too good a promise.
 const TOO_GOOD: f64 = 0.10;

@@ -2,12 +2,10 @@
 
 use std::{fmt::Write as _, path::Path};
 
+use trueup_campaigns::hidden::{Hidden, draw};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
-use trueup_twin::{
-    hidden::{Hidden, draw},
-    noise::Stream,
-};
+use trueup_twin::noise::Stream;
 
 const MACHINE: &str = "[machine]\nname = \"mill\"\nkind = \"3-axis\"\n[spindle]\nsource = \"sensor\"\n\
                        [spindle.sensor]\nk0_um = 0.0\nzero_counts = 5000.0\num_per_count = 0.02\n";

@@ -11,7 +11,7 @@ mod score;
 use pairs::{Judged, Pair, RATIO, RIGHT, WRONG, causes, faults};
 use score::{Row, Score, answer, score as scored};
 use statrs::distribution::{Binomial, DiscreteCDF};
-use trueup_twin::hidden::{Hidden, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden::{Hidden, TestCase, draw, draw_pair};
 
 /// Hides each of `causes` twice: no draw has a wrong name, one at least is claimed, with what it is
 /// worth.

@@ -4,9 +4,9 @@
 use std::path::Path;
 
 use serde_json::Value;
+use trueup_campaigns::hidden::{Hidden, TestCase, draw};
 use trueup_diagnose::{Diagnosis, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile, file::Quantity, predict::Predictor};
-use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 const CAUSE: &str = "feed-dependent-backlash";
 

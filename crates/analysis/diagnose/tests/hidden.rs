@@ -4,7 +4,7 @@
 mod score;
 
 use score::{Row, answer, score as scored};
-use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
+use trueup_campaigns::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
 fn row(causes: &[Hidden], ratio: f64, seeds: std::ops::Range<u64>) -> Row {
     let scores = causes.iter().flat_map(|&cause| {

@@ -5,7 +5,7 @@
 mod score;
 
 use score::worth;
-use trueup_twin::inputs::KINDS;
+use trueup_campaigns::inputs::KINDS;
 
 /// The campaign in short; `cargo run -p trueup-diagnose --example inputs` is the whole.
 #[test]

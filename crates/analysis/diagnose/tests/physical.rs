@@ -9,8 +9,8 @@ mod machines;
 mod own;
 
 use machines::Case;
+use trueup_campaigns::physical::{Fault, Kind};
 use trueup_machine::effect::Cause;
-use trueup_twin::physical::{Fault, Kind};
 
 const DOCUMENT: &str = include_str!("../../../../docs/physical-faults.md");
 

@@ -8,8 +8,8 @@ mod score;
 use std::path::Path;
 
 use score::{Row, answer, score as scored};
+use trueup_campaigns::hidden::{Hidden, TestCase, draw};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 /// Returns what the host's model makes of the machine file, for each row of the training runs.
 fn predicted(challenge: &TestCase) -> Result<Vec<f64>, String> {

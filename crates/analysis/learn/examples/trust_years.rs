@@ -8,9 +8,9 @@
 
 use std::{env, path::Path};
 
+use trueup_campaigns::year::{Happens, Kind, Year, year_with_bad};
 use trueup_learn::trust::trust;
 use trueup_machine::{Machine, MachineFile, RunFile};
-use trueup_twin::year::{Happens, Kind, Year, year_with_bad};
 
 const STATED_H: f64 = 1000.0;
 /// Two readings a day.

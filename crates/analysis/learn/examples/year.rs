@@ -14,10 +14,10 @@
 
 use std::{collections::BTreeSet, env, path::Path};
 
+use trueup_campaigns::year::{Happens, Kind, Year, year};
 use trueup_learn::{EventKind, Limits, Memory, learn};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_numerics::least_squares::GivensQr;
-use trueup_twin::year::{Happens, Kind, Year, year};
 
 /// The readings of two shifts and of ten.
 const TWO_SHIFTS: usize = 4;

@@ -5,9 +5,9 @@
 
 use std::{ops::Range, path::Path};
 
+use trueup_campaigns::month::{Day, SEEDS, month};
 use trueup_learn::{Limits, Memory, learn};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_twin::month::{Day, SEEDS, month};
 
 fn run(day: &Day) -> RunFile {
     RunFile::from_reader(day.csv.as_bytes(), Path::new("day.csv"))

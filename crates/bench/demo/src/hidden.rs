@@ -7,11 +7,11 @@
 use std::path::Path;
 
 use anyhow::Result;
+use trueup_campaigns::physical::{Fault, Kind, Plant};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::{
     noise::{Stream, rms},
     path::legs,
-    physical::{Fault, Kind, Plant},
     scenario::Scenario,
     simulate,
 };

@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use trueup_accept::{Acceptance, Limits, accept};
+use trueup_campaigns::physical::{Kind, Plant};
 use trueup_demo::{
     bench,
     boards::Boards,
@@ -14,11 +15,7 @@ use trueup_demo::{
     table::{parsed, with_columns},
 };
 use trueup_machine::{MachineFile, RunFile, compile, file::Quantity};
-use trueup_twin::{
-    Scenario,
-    physical::{Kind, Plant},
-    simulate,
-};
+use trueup_twin::{Scenario, simulate};
 
 const MEASURED: &str = "measured_elongation_um";
 /// The machine's clock runs this many times as fast as the board's.

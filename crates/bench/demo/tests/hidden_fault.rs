@@ -1,8 +1,8 @@
 //! Act two on the board's application in this process: what is hidden is found, and the tool gets what was
 //! promised. Many seeds are a campaign of its own.
 
+use trueup_campaigns::physical::Fault;
 use trueup_demo::{act_two::act_two, boards::Boards, campaign::Campaign, hidden::Hidden};
-use trueup_twin::physical::Fault;
 
 #[test]
 fn a_hidden_fault_is_named_and_another_day_is_better() {

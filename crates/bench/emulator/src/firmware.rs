@@ -12,7 +12,7 @@ use crate::{
     binary,
     compile::{Linked, PROGRAM, build_with, cargo_for, mark},
     process, seal,
-    setup::TARGET,
+    setup::{self, TARGET},
     slots,
 };
 
@@ -77,8 +77,17 @@ pub fn build_measure() -> Result<PathBuf> {
 pub fn build(board: Board) -> Result<PathBuf> {
     match board {
         Board::Stm32f405 => slots::build_whole(Linked::Named, board.feature(), slots::version()?),
-        Board::Virtual => build_virtual(board.feature(), Linked::Named),
+        Board::Virtual => build_virtual_for(board.feature(), Linked::Named),
     }
+}
+
+/// Builds the virtual board's image and gives its path; makes sure of QEMU, which runs it.
+///
+/// # Errors
+/// As [`build`]; QEMU is missing and cannot be installed.
+pub fn build_virtual() -> Result<PathBuf> {
+    setup::qemu()?;
+    build(Board::Virtual)
 }
 
 /// Builds the application alone, at the start of the flash and without slots, for a machine: what the tests run that ask
@@ -100,8 +109,8 @@ pub fn build_that_breaks(machine: &Path) -> Result<PathBuf> {
     build_application("faults", &name, Linked::File(machine))
 }
 
-/// Builds the virtual board's image.
-pub(crate) fn build_virtual(name: &str, machine: Linked) -> Result<PathBuf> {
+/// Builds the virtual board's image, with the constants of `machine`.
+pub(crate) fn build_virtual_for(name: &str, machine: Linked) -> Result<PathBuf> {
     let (mut command, folder) = cargo_for("build", Board::Virtual.feature())?;
     machine.tell(&mut command);
     build_with(command, &folder, PROGRAM, name, |_| Ok(()))

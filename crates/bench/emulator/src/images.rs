@@ -21,7 +21,7 @@ pub fn carried() -> Result<PathBuf> {
     let [chip, simulated] = Board::ALL.map(Board::feature);
     let flashable =
         slots::build_flashable(Linked::Example, &format!("carried-{chip}"), slots::version()?)?;
-    let simulator = firmware::build_virtual(&format!("carried-{simulated}"), Linked::Example)?;
+    let simulator = firmware::build_virtual_for(&format!("carried-{simulated}"), Linked::Example)?;
     let mut copies = Vec::new();
     // The one of the chip has its plain bytes and its update next to it.
     for (image, name) in [(flashable.image, chip), (simulator, simulated)] {

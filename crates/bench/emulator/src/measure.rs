@@ -152,6 +152,7 @@ pub fn run(vectors: u32) -> Result<Measured> {
 
 /// Runs the image to its end and gives what it has written.
 fn board(image: &Path, blobs: [&[u8]; 3], vectors: u32) -> Result<Numbers> {
+    setup::qemu()?;
     let arguments = ["-icount", "shift=0", "-semihosting-config", "enable=on,target=native"];
     let mut qemu = Qemu::start(image, &arguments, |folder| {
         for (name, blob) in ["calibration.bin", "by_tool.bin", "curves.bin"].iter().zip(blobs) {

@@ -1,11 +1,10 @@
 //! Runs other programs; an error names the command line, with the program's error output if it was not shown.
 
-use std::{
-    path::PathBuf,
-    process::{Command, Stdio},
-};
+use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, Result, bail};
+
+pub use trueup_virtual_bridge::program::{find, line, output};
 
 /// Returns the cargo that started this program, without what it has set for this program alone. A build script that
 /// reads such a variable (that of `ring`) runs again when it changes, and all that needs its crate is compiled again.
@@ -39,35 +38,6 @@ pub fn run(command: &mut Command) -> Result<()> {
         bail!("`{line}` failed: {status}");
     }
     Ok(())
-}
-
-/// Runs a command in silence and gives its standard output.
-///
-/// # Errors
-/// It could not be started, or it failed; the error has what it said.
-pub fn output(command: &mut Command) -> Result<String> {
-    let line = line(command);
-    let output =
-        command.stdin(Stdio::null()).output().with_context(|| format!("cannot start `{line}`"))?;
-    if !output.status.success() {
-        bail!("`{line}` failed: {}", String::from_utf8_lossy(&output.stderr).trim());
-    }
-    Ok(String::from_utf8_lossy(&output.stdout).into_owned())
-}
-
-/// Returns the command as one would type it.
-#[must_use]
-pub fn line(command: &Command) -> String {
-    let words = std::iter::once(command.get_program()).chain(command.get_args());
-    words.map(|word| word.to_string_lossy()).collect::<Vec<_>>().join(" ")
-}
-
-/// Where a program is, if it is on the search path.
-#[must_use]
-pub fn find(program: &str) -> Option<PathBuf> {
-    std::env::split_paths(&std::env::var_os("PATH")?)
-        .map(|folder| folder.join(program))
-        .find(|path| path.is_file())
 }
 
 #[cfg(test)]

@@ -12,16 +12,15 @@ use std::{
 use anyhow::{Context as _, Result, bail};
 use rustix::fs::{FlockOperation, flock};
 
-use crate::process;
+use crate::{
+    process,
+    qemu::{self, PROGRAM as QEMU},
+};
 
 /// The processor of the STM32F405.
 pub const TARGET: &str = "thumbv7em-none-eabihf";
 /// Set to `distribution` it forces the second way to the target.
 pub const TOOLCHAIN_VARIABLE: &str = "TRUEUP_TOOLCHAIN";
-/// The emulator's program, and the package that has it.
-pub const QEMU: &str = "qemu-system-arm";
-/// The oldest QEMU that has what the board needs.
-const OLDEST_QEMU: (u32, u32) = (7, 2);
 
 /// The compiler of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,29 +134,11 @@ fn distribution() -> Result<()> {
 /// # Errors
 /// It is missing and cannot be installed, or it is too old.
 pub fn qemu() -> Result<PathBuf> {
-    // An installed tool has no folder in which anybody could be waited for.
+    let _alone = alone()?;
     if process::find(QEMU).is_none() {
-        let _alone = alone()?;
-        if process::find(QEMU).is_none() {
-            install(&[QEMU], "QEMU, the emulator")?;
-        }
+        install(&[QEMU], "QEMU, the emulator")?;
     }
-    let path = process::find(QEMU).context("qemu-system-arm is installed but not on PATH")?;
-    let said = process::output(Command::new(&path).arg("--version"))?;
-    let version = said.split("version ").nth(1).unwrap_or_default();
-    let mut numbers = version.split('.').map(|number| number.parse::<u32>().unwrap_or(0));
-    let version = (numbers.next().unwrap_or(0), numbers.next().unwrap_or(0));
-    if version < OLDEST_QEMU {
-        bail!(
-            "{} is version {}.{}; {}.{} or newer is needed",
-            path.display(),
-            version.0,
-            version.1,
-            OLDEST_QEMU.0,
-            OLDEST_QEMU.1
-        );
-    }
-    Ok(path)
+    qemu::program()
 }
 
 /// Makes sure that the Python clients of the tests are there, in an environment of the project's

@@ -10,7 +10,7 @@ use std::{
 
 use anyhow::{Context as _, Result};
 use clap::Args;
-use trueup_emulator::{process, setup::QEMU, virtual_bridge};
+use trueup_virtual_bridge::{Options, program, qemu::PROGRAM as QEMU};
 
 use crate::{Outcome, UserError, carried, files};
 
@@ -28,7 +28,7 @@ pub struct Virtual {
     #[arg(long, value_name = "M.toml")]
     machine: PathBuf,
     #[command(flatten)]
-    options: virtual_bridge::Options,
+    options: Options,
     /// Another firmware image for QEMU than the one that this tool carries.
     #[arg(long, value_name = "FILE.elf")]
     image: Option<PathBuf>,
@@ -36,7 +36,7 @@ pub struct Virtual {
 
 /// Runs it.
 pub fn run(args: &Virtual) -> Result<Outcome> {
-    if process::find(QEMU).is_none() {
+    if program::find(QEMU).is_none() {
         let reason =
             format!("{QEMU} is not on PATH; on Debian and Ubuntu: sudo apt install {QEMU}");
         return Err(UserError(reason).into());
@@ -56,6 +56,6 @@ pub fn run(args: &Virtual) -> Result<Outcome> {
             Ok(folder.path().join(carried::VIRTUAL))
         }
     };
-    virtual_bridge::run(&machine, &args.options, image, stop)?;
+    trueup_virtual_bridge::run(&machine, &args.options, image, stop)?;
     Ok(Outcome::Done)
 }

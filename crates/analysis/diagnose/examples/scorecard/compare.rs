@@ -16,7 +16,7 @@
 
 use std::{collections::BTreeMap, fs, process::ExitCode};
 
-use trueup_twin::hidden::Hidden;
+use trueup_campaigns::hidden::Hidden;
 
 use crate::score::Row;
 

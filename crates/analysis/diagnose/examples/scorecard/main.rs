@@ -50,7 +50,7 @@ use std::{env, fs, path::PathBuf, process::ExitCode, thread};
 use card::Card;
 use compare::Draws;
 use score::{Row, Score, answer, score};
-use trueup_twin::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
+use trueup_campaigns::hidden::{Expected, Hidden, PAIRS, draw, draw_pair};
 
 /// Arguments of the command.
 pub(crate) struct Asked {

@@ -1,4 +1,4 @@
-//! `scorecard physical`: machines with one to five physical faults ([`trueup_twin::physical`]), and
+//! `scorecard physical`: machines with one to five physical faults ([`trueup_campaigns::physical`]), and
 //! machines without one; what names a fault stands in `docs/physical-faults.md`.
 
 use std::{collections::BTreeMap, ops::Range, process::ExitCode};

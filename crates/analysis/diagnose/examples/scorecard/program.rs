@@ -5,7 +5,7 @@
 use std::{fs, path::Path, process::Command, process::ExitCode};
 
 use serde_json::Value;
-use trueup_twin::hidden::{Expected, Hidden, PAIRS, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden::{Expected, Hidden, PAIRS, TestCase, draw, draw_pair};
 
 use crate::{
     asked,

@@ -6,8 +6,8 @@
 
 use std::{ops::Range, path::Path, process::ExitCode};
 
+use trueup_campaigns::hidden::TestCase;
 use trueup_machine::MachineFile;
-use trueup_twin::hidden::TestCase;
 
 use crate::{
     known, row,

@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use trueup_campaigns::trial_axis::{Act, AxisTrial, TRAVEL_MM, WrongAxis};
 use trueup_diagnose::{AxisRun, Diagnosis, Next, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::trial_axis::{Act, AxisTrial, TRAVEL_MM, WrongAxis};
 
 use crate::needed::{Tried, needed};
 

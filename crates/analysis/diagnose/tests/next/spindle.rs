@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use trueup_campaigns::trial::{RATED_RPM, Trial, Wrong};
 use trueup_diagnose::{Diagnosis, Next, Stretch, diagnose};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::trial::{RATED_RPM, Trial, Wrong};
 
 use crate::needed::{Tried, needed};
 

@@ -1,11 +1,11 @@
-//! The score of an answer to [`trueup_twin::inputs`]: whether the columns of the hidden law are named and claimed, and
+//! The score of an answer to [`trueup_campaigns::inputs`]: whether the columns of the hidden law are named and claimed, and
 //! what is gone on another day.
 
 use std::{collections::BTreeSet, path::Path};
 
+use trueup_campaigns::inputs::{Kind, draw};
 use trueup_diagnose::{diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::inputs::{Kind, draw};
 
 /// Noise of the gauge in µm, which nothing takes away.
 const NOISE_UM: f64 = 0.4;

@@ -2,9 +2,9 @@
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
+use trueup_campaigns::hidden::{Expected, Hidden, TestCase, Truth};
 use trueup_diagnose::{Diagnosis, Verdict, diagnose, report::Finding};
 use trueup_machine::{MachineFile, RunFile};
-use trueup_twin::hidden::{Expected, Hidden, TestCase, Truth};
 
 /// A parameter as it was hidden, and as it was found.
 #[derive(Clone, Debug)]

@@ -3,7 +3,7 @@
 //! Two causes may do the same, or nearly take each other away: a pair has to be named where each does as
 //! much as the noise that the other could not do.
 
-use trueup_twin::hidden::{Expected, Hidden, TestCase, draw_pair};
+use trueup_campaigns::hidden::{Expected, Hidden, TestCase, draw_pair};
 
 use crate::{
     own::own_rms,

@@ -3,11 +3,11 @@
 
 use std::{fmt, path::Path};
 
+use trueup_campaigns::physical::{Fault, Kind, Plant};
 use trueup_diagnose::diagnose;
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
 use trueup_twin::{
     noise::{Stream, rms},
-    physical::{Fault, Kind, Plant},
     simulate,
 };
 

@@ -6,7 +6,7 @@
 
 use std::fmt::Write as _;
 
-use trueup_twin::hidden::{Effect, Expected, Hidden, TestCase, draw, draw_pair};
+use trueup_campaigns::hidden::{Effect, Expected, Hidden, TestCase, draw, draw_pair};
 
 /// Returns what the file may have: causes with a name whose term a board corrects.
 pub fn firsts() -> impl Iterator<Item = Hidden> {

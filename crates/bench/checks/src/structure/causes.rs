@@ -55,7 +55,8 @@ fn places(sources: &[SourceFile], cause: &str) -> Vec<String> {
     let list = [format!("{PAGES}mod.rs"), format!("{PAGES}list.rs")];
     let counts = |source: &&SourceFile| {
         !source.is_test()
-            && !source.path.starts_with("crates/bench/twin/")
+            && !source.path.starts_with("crates/tool/twin/")
+            && !source.path.starts_with("crates/bench/campaigns/")
             // The names above.
             && !source.path.starts_with("crates/bench/checks/")
             && !page.iter().any(|page| source.path.starts_with(page.as_str()))
@@ -99,7 +100,8 @@ mod tests {
         let sources = [
             at("crates/x/src/a.rs"),
             at("crates/x/tests/a.rs"),
-            at("crates/bench/twin/src/a.rs"),
+            at("crates/tool/twin/src/a.rs"),
+            at("crates/bench/campaigns/src/a.rs"),
             at("crates/model/machine/src/effect/cutting_load.rs"),
             at("crates/model/machine/src/effect/one_number/sensor.rs"),
             at("crates/model/machine/src/effect/mod.rs"),

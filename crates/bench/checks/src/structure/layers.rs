@@ -10,7 +10,18 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("base", &["numerics", "output"]),
     (
         "board",
-        &["core", "link", "canopen", "store", "boot", "node", "modbus", "max31865", "signature"],
+        &[
+            "core",
+            "link",
+            "canopen",
+            "store",
+            "boot",
+            "node",
+            "modbus",
+            "max31865",
+            "signature",
+            "pipe",
+        ],
     ),
     ("model", &["machine"]),
     ("analysis", &["fit", "diagnose", "learn", "compare", "accept", "page"]),
@@ -29,9 +40,11 @@ const LAYERS: &[(&str, &[&str])] = &[
             "gateway",
             "fleet",
             "serve",
+            "twin",
+            "virtual-bridge",
         ],
     ),
-    ("bench", &["twin", "emulator", "chip", "pipe", "demo", "bounds", "checks", "measured-data"]),
+    ("bench", &["campaigns", "emulator", "chip", "demo", "bounds", "checks", "measured-data"]),
 ];
 
 /// Returns the dependencies that lead to a higher layer, as `crate -> crate (layer)`. Those of tests alone do not count.

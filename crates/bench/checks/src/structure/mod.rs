@@ -54,7 +54,7 @@ const LIMITS: Limits = Limits {
     circles: 0,
     long_files: 0,
     long_functions: 0,
-    arrows: 2,
+    arrows: 0,
     strangers: 0,
     nowhere: 0,
     cut_tables: 0,

@@ -67,11 +67,7 @@ use self::{
     measured::{LOOP_SEED, Measured},
     plant::Plant,
 };
-use crate::{
-    chip,
-    firmware::{self, Board},
-    programs, setup,
-};
+use crate::{chip, firmware, programs, setup};
 
 /// How many times faster the machine lives through the warm-up: in QEMU than the wall, with the board, if
 /// this computer is fast enough; on the model of the chip than the board.
@@ -244,7 +240,7 @@ fn prepared(way: Way, announce: &impl Fn(&str)) -> Result<Option<(PathBuf, Measu
     let trueup = programs::trueup()?;
     // The image, the program that is the chip, or the library of the component.
     let firmware = match way.on {
-        On::Qemu => Some(firmware::build(Board::Virtual)?),
+        On::Qemu => Some(firmware::build_virtual()?),
         On::Chip => chip::build()?,
         On::Servo => Some(programs::servo_library()?),
     };

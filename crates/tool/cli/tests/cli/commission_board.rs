@@ -13,7 +13,7 @@ use std::{
 };
 
 use serde_json::{Value, json};
-use trueup_emulator::firmware::{self, Board};
+use trueup_emulator::firmware;
 use trueup_machine::RunFile;
 
 use crate::desk::Desk;
@@ -53,7 +53,7 @@ struct Shop {
 
 impl Shop {
     fn open(desk: &Desk) -> Self {
-        let image = firmware::build(Board::Virtual).expect("it builds").display().to_string();
+        let image = firmware::build_virtual().expect("it builds").display().to_string();
         let plant = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let at = plant.local_addr().expect("bound above");
         let line =

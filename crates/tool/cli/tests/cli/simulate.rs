@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::desk::Desk;
+use trueup_campaigns::hidden::{Hidden, TestCase, draw};
 use trueup_machine::{MachineFile, RunFile, predict::Predictor};
-use trueup_twin::hidden::{Hidden, TestCase, draw};
 
 const WARMUP: &str = include_str!("../../../../../data/scenario-warmup.toml");
 const AXIS: &str = include_str!("../../../../../data/scenario-axis.toml");

@@ -1,8 +1,8 @@
 use std::path::Path;
 
+use trueup_campaigns::hidden::{Hidden, draw};
 use trueup_machine::{Machine, MachineFile, RunFile, file::Quantity};
 use trueup_measured_data::file as measured;
-use trueup_twin::hidden::{Hidden, draw};
 
 use super::*;
 
