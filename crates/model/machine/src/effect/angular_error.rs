@@ -25,10 +25,11 @@ use super::{
     },
     data_view::{DataView, StartValues, even_knots, spread, targets},
 };
+use crate::file::keys::term::{ALONG, CONTROL_URAD, KNOTS_MM, LEVER, ORDER, ORIGIN_MM, URAD_PER_M};
 use crate::{
     file::axis::LinearAxis,
     file::read::Section,
-    file::straightness::{BSpline, read_spline},
+    file::straightness::{BSpline, SplineKeys, read_spline, spline_entries},
     location::BadInput,
     model::straightness::spline_weights,
 };
@@ -36,6 +37,9 @@ use crate::{
 /// An angle that goes with the position of an axis, times a lever.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AngularError(Tilt);
+
+/// The keys of an angle as a spline.
+const CURVE: SplineKeys = [ORDER, KNOTS_MM, CONTROL_URAD];
 
 impl AngularError {
     fn neutral(along: Option<LinearAxis>, lever: LinearAxis, angle: Angle) -> Self {
@@ -47,16 +51,12 @@ impl CauseSpec for AngularError {
     fn entries(&self) -> Vec<Entry> {
         let Tilt { along, lever, origin_mm, angle } = &self.0;
         let mut entries = Vec::new();
-        entries.extend(along.map(|axis| ("along", Value::Text(axis.name().into()))));
-        entries.push(("lever", Value::Text(lever.name().into())));
-        entries.push(("origin_mm", Value::Number(*origin_mm)));
+        entries.extend(along.map(|axis| (ALONG.name, Value::Text(axis.name().into()))));
+        entries.push((LEVER.name, Value::Text(lever.name().into())));
+        entries.push((ORIGIN_MM.name, Value::Number(*origin_mm)));
         match angle {
-            Angle::Line(urad_per_m) => entries.push(("urad_per_m", Value::Number(*urad_per_m))),
-            Angle::Curve(spline) => entries.extend([
-                ("order", Value::Whole(spline.order as u32)),
-                ("knots_mm", Value::Numbers(spline.knots_mm.clone())),
-                ("control_urad", Value::Numbers(spline.control_um.clone())),
-            ]),
+            Angle::Line(urad_per_m) => entries.push((URAD_PER_M.name, Value::Number(*urad_per_m))),
+            Angle::Curve(spline) => entries.extend(spline_entries(spline, &CURVE)),
         }
         entries
     }
@@ -155,8 +155,8 @@ impl CauseSpec for AngularError {
             Angle::Curve(_) => {
                 let mut fitted = self.clone();
                 fitted.set(values);
-                let of_spline = |key: &str| ["order", "knots_mm", "control_urad"].contains(&key);
-                let entries = fitted.entries().into_iter().filter(|(key, _)| of_spline(key));
+                let of_spline = |name: &str| CURVE.iter().any(|key| key.name == name);
+                let entries = fitted.entries().into_iter().filter(|(name, _)| of_spline(name));
                 let spline = entries.map(|(key, value)| (key, Some(value))).collect();
                 vec![Parameter::Record("spline", spline)]
             }
@@ -175,22 +175,30 @@ impl Definition for AngularError {
     const NAME: &'static str = "angular-error";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if has(section, "urad_per_m") {
-            &["along", "lever", "origin_mm", "urad_per_m"]
+        if has(section, URAD_PER_M.name) {
+            &[ALONG.name, LEVER.name, ORIGIN_MM.name, URAD_PER_M.name]
         } else {
-            &["along", "lever", "origin_mm", "order", "knots_mm", "control_urad", "urad_per_m"]
+            &[
+                ALONG.name,
+                LEVER.name,
+                ORIGIN_MM.name,
+                ORDER.name,
+                KNOTS_MM.name,
+                CONTROL_URAD.name,
+                URAD_PER_M.name,
+            ]
         }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let along = has(section, "along").then(|| axis(section, "along")).transpose()?;
-        let angle = if has(section, "control_urad") {
-            Angle::Curve(read_spline(section, "control_urad")?)
+        let along = has(section, ALONG.name).then(|| axis(section, ALONG)).transpose()?;
+        let angle = if has(section, CONTROL_URAD.name) {
+            Angle::Curve(read_spline(section, &CURVE)?)
         } else {
-            Angle::Line(number(section, "urad_per_m")?)
+            Angle::Line(number(section, URAD_PER_M)?)
         };
-        let origin_mm = section.number("origin_mm")?.unwrap_or(0.0);
-        Ok(Self(Tilt { along, lever: axis(section, "lever")?, origin_mm, angle }))
+        let origin_mm = section.number(ORIGIN_MM.name)?.unwrap_or(0.0);
+        Ok(Self(Tilt { along, lever: axis(section, LEVER)?, origin_mm, angle }))
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

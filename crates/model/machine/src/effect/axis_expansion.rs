@@ -17,30 +17,34 @@
 use super::{
     cause_spec::{
         CauseSpec, Definition, Entry, Host, Input, Nonlinear, OnBoard, Parameter, Target, Value,
-        minutes, number,
+        minutes,
     },
     data_view::{DataView, StartValues, TIME_CONSTANTS},
     heat,
 };
+use crate::file::keys::term::{COLUMN, ORIGIN_MM, REFERENCE_C, TIME_CONSTANT_S, UM_PER_M_PER_C};
+use crate::file::table::{Table, entries, table};
 use crate::{
     file::axis::{Thermal, ThermalMode},
     file::read::Section,
     location::BadInput,
 };
 
-/// The growth of an axis that has no `[axis.*.thermal]`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct AxisExpansion {
-    /// The column of T, `temp_<name>_c`.
-    pub column: String,
-    /// c, in µm/(m·K); positive where the warm axis goes too far.
-    pub um_per_m_per_c: f64,
-    /// τ in s; 0: no lag.
-    pub time_constant_s: f64,
-    /// T_ref in °C.
-    pub reference_c: f64,
-    /// P₀ in mm.
-    pub origin_mm: f64,
+table! {
+    /// The growth of an axis that has no `[axis.*.thermal]`.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct AxisExpansion {
+        /// The column of T, `temp_<name>_c`.
+        column: String = COLUMN.of(Column).required();
+        /// c, in µm/(m·K); positive where the warm axis goes too far.
+        um_per_m_per_c: f64 = UM_PER_M_PER_C.required();
+        /// τ in s; 0: no lag.
+        time_constant_s: f64 = TIME_CONSTANT_S.or("0.0");
+        /// T_ref in °C.
+        reference_c: f64 = REFERENCE_C.required();
+        /// P₀ in mm.
+        origin_mm: f64 = ORIGIN_MM.or("0.0");
+    }
 }
 
 impl AxisExpansion {
@@ -57,13 +61,7 @@ impl AxisExpansion {
 
 impl CauseSpec for AxisExpansion {
     fn entries(&self) -> Vec<Entry> {
-        vec![
-            ("column", Value::Text(self.column.clone())),
-            ("um_per_m_per_c", Value::Number(self.um_per_m_per_c)),
-            ("time_constant_s", Value::Number(self.time_constant_s)),
-            ("reference_c", Value::Number(self.reference_c)),
-            ("origin_mm", Value::Number(self.origin_mm)),
-        ]
+        entries(self)
     }
 
     fn home(&self) -> Target {
@@ -171,17 +169,11 @@ impl Definition for AxisExpansion {
     const NAME: &'static str = "axis-expansion";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["column", "um_per_m_per_c", "time_constant_s", "reference_c", "origin_mm"]
+        Self::NAMES
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self {
-            column: heat::column(section)?,
-            um_per_m_per_c: number(section, "um_per_m_per_c")?,
-            time_constant_s: section.not_negative("time_constant_s")?.unwrap_or(0.0),
-            reference_c: number(section, "reference_c")?,
-            origin_mm: section.number("origin_mm")?.unwrap_or(0.0),
-        })
+        Table::read(section)
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

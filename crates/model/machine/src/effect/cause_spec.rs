@@ -18,8 +18,10 @@ use crate::{
     file::read::Section,
     file::{
         axis::{LinearAxis, Pitch, Thermal},
+        key::Key,
         spindle::Spindle,
         straightness::BSpline,
+        table::value,
     },
     location::BadInput,
 };
@@ -447,19 +449,18 @@ pub(crate) trait Definition: CauseSpec + Sized {
 }
 
 /// Returns a number that must be there.
-pub(crate) fn number(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
-    section.required(key, section.number(key)?)
+pub(crate) fn number(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
+    section.required(key.name, section.number(key.name)?)
 }
 
 /// Returns a number above 0 that must be there.
-pub(crate) fn positive(section: &Section<'_>, key: &str) -> Result<f64, BadInput> {
-    section.required(key, section.positive(key)?)
+pub(crate) fn positive(section: &Section<'_>, key: Key) -> Result<f64, BadInput> {
+    section.required(key.name, section.positive(key.name)?)
 }
 
 /// Returns an axis that must be there.
-pub(crate) fn axis(section: &Section<'_>, key: &str) -> Result<LinearAxis, BadInput> {
-    let axes = LinearAxis::ALL.map(|axis| (axis.name(), axis));
-    section.required(key, section.choice(key, &axes)?)
+pub(crate) fn axis(section: &Section<'_>, key: Key) -> Result<LinearAxis, BadInput> {
+    value(section, &key.required())
 }
 
 /// Returns a time for people: 95 s, 12.3 min.

@@ -5,28 +5,27 @@
 //! ```
 
 use super::{
-    cause_spec::{
-        CauseSpec, Definition, Entry, Host, Input, OnBoard, Parameter, Target, Value, axis, number,
-    },
+    cause_spec::{CauseSpec, Definition, Entry, Host, Input, OnBoard, Parameter, Target, Value},
     data_view::{DataView, StartValues},
 };
+use crate::file::keys::term::{AXIS, UM_PER_M};
+use crate::file::table::{Table, entries, table};
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
-/// A slope along another axis.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CrossAxis {
-    /// The axis that moves.
-    pub axis: LinearAxis,
-    /// c, in µm/m.
-    pub um_per_m: f64,
+table! {
+    /// A slope along another axis.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct CrossAxis {
+        /// The axis that moves.
+        axis: LinearAxis = AXIS.required();
+        /// c, in µm/m.
+        um_per_m: f64 = UM_PER_M.required();
+    }
 }
 
 impl CauseSpec for CrossAxis {
     fn entries(&self) -> Vec<Entry> {
-        vec![
-            ("axis", Value::Text(self.axis.name().into())),
-            ("um_per_m", Value::Number(self.um_per_m)),
-        ]
+        entries(self)
     }
 
     fn home(&self) -> Target {
@@ -77,11 +76,11 @@ impl Definition for CrossAxis {
     const NAME: &'static str = "cross-axis";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["um_per_m", "axis"]
+        &[UM_PER_M.name, AXIS.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self { axis: axis(section, "axis")?, um_per_m: number(section, "um_per_m")? })
+        Table::read(section)
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

@@ -21,6 +21,10 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
+use crate::file::keys::term::{
+    AT, COLUMN, CURVE_UM, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVELS, MINUS, REFERENCE, TIMES,
+    TIMES_REFERENCE,
+};
 use crate::{
     file::read::{Section, is_temperature_column},
     file::{axis::LinearAxis, tools::Tools},
@@ -178,36 +182,38 @@ impl CauseSpec for Dependence {
     fn entries(&self) -> Vec<Entry> {
         let [slope_key, level_key] = self.times.keys();
         let mut entries = vec![
-            ("column", Value::Text(self.column.clone())),
-            ("form", Value::Text(self.form_name().into())),
+            (COLUMN.name, Value::Text(self.column.clone())),
+            (FORM.name, Value::Text(self.form_name().into())),
         ];
-        entries.extend(self.minus.clone().map(|column| ("minus", Value::Text(column))));
-        entries.extend(self.times.name().map(|name| ("times", Value::Text(name.into()))));
+        entries.extend(self.minus.clone().map(|column| (MINUS.name, Value::Text(column))));
+        entries.extend(self.times.name().map(|name| (TIMES.name, Value::Text(name.into()))));
         if let Times::Column { reference, .. } = self.times {
-            entries.push(("times_reference", Value::Number(reference)));
+            entries.push((TIMES_REFERENCE.name, Value::Number(reference)));
         }
         match &self.form {
             Form::Level { levels, added, otherwise } => {
-                entries.push(("levels", Value::Numbers(levels.clone())));
-                entries.push((level_key, Value::Numbers(added.clone())));
-                let other = ("level_default", Value::Number(*otherwise));
+                entries.push((LEVELS.name, Value::Numbers(levels.clone())));
+                entries.push((level_key.name, Value::Numbers(added.clone())));
+                let other = (LEVEL_DEFAULT.name, Value::Number(*otherwise));
                 entries.extend((*otherwise != 0.0).then_some(other));
             }
             Form::Line { slope, reference } => {
-                entries.push((slope_key, Value::Number(*slope)));
-                entries.push(("reference", Value::Number(*reference)));
+                entries.push((slope_key.name, Value::Number(*slope)));
+                entries.push((REFERENCE.name, Value::Number(*reference)));
             }
             Form::Hinge { slope, from, .. } => {
-                entries.push((slope_key, Value::Number(*slope)));
-                entries.push(("from", Value::Number(*from)));
+                entries.push((slope_key.name, Value::Number(*slope)));
+                entries.push((FROM.name, Value::Number(*from)));
             }
-            Form::Constant { added } => entries.push((level_key, Value::Numbers(vec![*added]))),
+            Form::Constant { added } => {
+                entries.push((level_key.name, Value::Numbers(vec![*added])))
+            }
             Form::Curve { at, added } => {
-                entries.push(("at", Value::Numbers(at.clone())));
-                entries.push(("curve_um", Value::Numbers(added.clone())));
+                entries.push((AT.name, Value::Numbers(at.clone())));
+                entries.push((CURVE_UM.name, Value::Numbers(added.clone())));
             }
         }
-        entries.extend(self.has_lag().then_some(("lag_s", Value::Number(self.lag_s))));
+        entries.extend(self.has_lag().then_some((LAG_S.name, Value::Number(self.lag_s))));
         entries
     }
 
@@ -372,7 +378,7 @@ impl CauseSpec for Dependence {
     }
 
     fn parameters(&self, values: &[f64]) -> Vec<Parameter> {
-        let [slope_key, level_key] = self.times.keys();
+        let [slope_key, level_key] = self.times.keys().map(|key| key.name);
         let late = self.nonlinear().len();
         let list = |key, places, at: &Vec<f64>, without| {
             let mut added = vec![0.0; without];
@@ -408,30 +414,7 @@ impl Definition for Dependence {
     const NAME: &'static str = "dependence";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &[
-            "column",
-            "minus",
-            "form",
-            "times",
-            "levels",
-            "level_um",
-            "level_um_per_krpm2",
-            "level_factor",
-            "level_um_per_m",
-            "level_um_per_unit",
-            "um_per_unit",
-            "um_per_unit_per_krpm2",
-            "factor_per_unit",
-            "um_per_unit_per_m",
-            "um_per_unit_per_unit",
-            "times_reference",
-            "level_default",
-            "lag_s",
-            "reference",
-            "from",
-            "at",
-            "curve_um",
-        ]
+        read::KEYS
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {

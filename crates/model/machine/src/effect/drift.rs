@@ -11,6 +11,7 @@ use super::{
     cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target, Value, number},
     data_view::{DataView, StartValues, targets},
 };
+use crate::file::keys::term::{REFERENCE_RUN, UM_PER_H, UM_PER_RUN};
 use crate::{file::read::Section, location::BadInput};
 
 /// A slope of the time, or from run to run.
@@ -36,8 +37,8 @@ const MIN_RUNS: usize = 3;
 impl Drift {
     fn rate(&self) -> (&'static str, f64) {
         match *self {
-            Self::InTime { um_per_h } => ("um_per_h", um_per_h),
-            Self::ByRun { um_per_run, .. } => ("um_per_run", um_per_run),
+            Self::InTime { um_per_h } => (UM_PER_H.name, um_per_h),
+            Self::ByRun { um_per_run, .. } => (UM_PER_RUN.name, um_per_run),
         }
     }
 }
@@ -49,7 +50,7 @@ impl CauseSpec for Drift {
         if let Self::ByRun { reference_run, .. } = *self
             && reference_run != 0.0
         {
-            entries.push(("reference_run", Value::Number(reference_run)));
+            entries.push((REFERENCE_RUN.name, Value::Number(reference_run)));
         }
         entries
     }
@@ -114,20 +115,20 @@ impl Definition for Drift {
     const NAME: &'static str = "drift";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&"um_per_run") {
-            &["um_per_run", "reference_run"]
+        if section.keys().contains(&UM_PER_RUN.name) {
+            &[UM_PER_RUN.name, REFERENCE_RUN.name]
         } else {
-            &["um_per_h"]
+            &[UM_PER_H.name]
         }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(match section.number("um_per_run")? {
+        Ok(match section.number(UM_PER_RUN.name)? {
             Some(um_per_run) => {
-                let reference_run = section.number("reference_run")?.unwrap_or(0.0);
+                let reference_run = section.number(REFERENCE_RUN.name)?.unwrap_or(0.0);
                 Self::ByRun { um_per_run, reference_run }
             }
-            None => Self::InTime { um_per_h: number(section, "um_per_h")? },
+            None => Self::InTime { um_per_h: number(section, UM_PER_H)? },
         })
     }
 

@@ -10,12 +10,17 @@ use trueup_core::term::SpeedPower;
 use super::{
     cause_spec::{
         CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter,
-        SpeedHeat, Target, Value, minutes, number,
+        SpeedHeat, Target, Value, minutes,
     },
     data_view::{DataView, StartValues, TIME_CONSTANTS},
     dependence::SPEED,
     heat,
 };
+use crate::file::key::Key;
+use crate::file::keys::term::{
+    COLUMN, INPUT, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C, UM_PER_KRPM, UM_PER_KRPM2,
+};
+use crate::file::table::{Table, entries, value};
 use crate::{
     file::axis::LinearAxis,
     file::{read::Section, spindle::ElongationSource},
@@ -23,8 +28,8 @@ use crate::{
 };
 
 /// The powers of the speed: the value of `input`, and the key of c.
-const POWERS: [(SpeedPower, &str, &str); 2] =
-    [(SpeedPower::Second, "speed2", "um_per_krpm2"), (SpeedPower::First, "speed", "um_per_krpm")];
+const POWERS: [(SpeedPower, &str, Key); 2] =
+    [(SpeedPower::Second, "speed2", UM_PER_KRPM2), (SpeedPower::First, "speed", UM_PER_KRPM)];
 
 /// Shortest time constant of heat of the speed in a search, in s: 0.2 m of cast iron settle in L²/(π²·a). A faster
 /// effect is no heat, but any law of the speed.
@@ -60,7 +65,7 @@ impl ExtraHeatPath {
 
     fn amplitude_key(&self) -> &'static str {
         match self {
-            Self::OfTemperature(_) => "um_per_c",
+            Self::OfTemperature(_) => UM_PER_C.name,
             Self::OfSpeed(heat) => names(heat.power)[1],
         }
     }
@@ -69,16 +74,16 @@ impl ExtraHeatPath {
 /// Returns the value of `input` and the key of c.
 fn names(power: SpeedPower) -> [&'static str; 2] {
     let of_it = POWERS.into_iter().filter(|(there, ..)| *there == power);
-    of_it.fold([""; 2], |_, (_, input, key)| [input, key])
+    of_it.fold([""; 2], |_, (_, input, key)| [input, key.name])
 }
 
 /// Returns the power of the speed that `section` is about: by `input`, else by the key of c.
 fn power_of(section: &Section<'_>) -> SpeedPower {
-    let input = section.text("input").ok().flatten();
+    let input = section.text(INPUT.name).ok().flatten();
     let keys = section.keys();
-    let is_it = |(_, name, key): &(SpeedPower, &str, &str)| match input {
+    let is_it = |(_, name, key): &(SpeedPower, &str, Key)| match input {
         Some(input) => input == *name,
-        None => keys.contains(key),
+        None => keys.contains(&key.name),
     };
     POWERS.into_iter().find(is_it).map_or(SpeedPower::Second, |(power, ..)| power)
 }
@@ -86,22 +91,23 @@ fn power_of(section: &Section<'_>) -> SpeedPower {
 /// Returns whether `section` is about the speed.
 fn is_of_speed(section: &Section<'_>) -> bool {
     let keys = section.keys();
-    let is_own =
-        |key: &&str| *key == "input" || POWERS.iter().any(|(.., amplitude)| key == amplitude);
-    keys.iter().any(is_own) || section.text("column").is_ok_and(|column| column == Some(SPEED))
+    let is_own = |key: &&str| {
+        *key == INPUT.name || POWERS.iter().any(|(.., amplitude)| *key == amplitude.name)
+    };
+    keys.iter().any(is_own) || section.text(COLUMN.name).is_ok_and(|column| column == Some(SPEED))
 }
 
 impl CauseSpec for ExtraHeatPath {
     fn entries(&self) -> Vec<Entry> {
         match self {
-            Self::OfTemperature(heat) => heat::entries(heat),
+            Self::OfTemperature(heat) => entries(heat),
             Self::OfSpeed(heat) => {
                 let [input, key] = names(heat.power);
                 vec![
-                    ("column", Value::Text(SPEED.into())),
-                    ("input", Value::Text(input.into())),
+                    (COLUMN.name, Value::Text(SPEED.into())),
+                    (INPUT.name, Value::Text(input.into())),
                     (key, Value::Number(heat.um_per_unit)),
-                    ("time_constant_s", Value::Number(heat.time_constant_s)),
+                    (TIME_CONSTANT_S.name, Value::Number(heat.time_constant_s)),
                 ]
             }
         }
@@ -229,31 +235,30 @@ impl Definition for ExtraHeatPath {
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
         match (is_of_speed(section), power_of(section)) {
-            (false, _) => &["column", "um_per_c", "time_constant_s", "reference_c"],
-            (_, SpeedPower::First) => &["column", "input", "um_per_krpm", "time_constant_s"],
-            (_, SpeedPower::Second) => &["column", "input", "um_per_krpm2", "time_constant_s"],
+            (false, _) => &[COLUMN.name, UM_PER_C.name, TIME_CONSTANT_S.name, REFERENCE_C.name],
+            (_, SpeedPower::First) => {
+                &[COLUMN.name, INPUT.name, UM_PER_KRPM.name, TIME_CONSTANT_S.name]
+            }
+            (_, SpeedPower::Second) => {
+                &[COLUMN.name, INPUT.name, UM_PER_KRPM2.name, TIME_CONSTANT_S.name]
+            }
         }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let lag_s = section.not_negative("time_constant_s")?;
         if !is_of_speed(section) {
-            return Ok(Self::OfTemperature(Heat {
-                column: heat::column(section)?,
-                um_per_c: number(section, "um_per_c")?,
-                time_constant_s: lag_s.unwrap_or(0.0),
-                reference_c: number(section, "reference_c")?,
-            }));
+            return Heat::read(section).map(Self::OfTemperature);
         }
-        if section.required("column", section.text("column")?)? != SPEED {
-            return Err(section.bad("column", "must be \"spindle_rpm\" where the speed heats"));
+        if section.required(COLUMN.name, section.text(COLUMN.name)?)? != SPEED {
+            return Err(section.bad(COLUMN.name, "must be \"spindle_rpm\" where the speed heats"));
         }
         let choices = POWERS.map(|(power, input, _)| (input, power));
-        let power = section.choice("input", &choices)?.unwrap_or(power_of(section));
+        let power = section.choice(INPUT.name, &choices)?.unwrap_or(power_of(section));
+        let [_, key] = names(power);
         Ok(Self::OfSpeed(SpeedHeat {
             power,
-            um_per_unit: number(section, names(power)[1])?,
-            time_constant_s: section.required("time_constant_s", lag_s)?,
+            um_per_unit: section.required(key, section.number(key)?)?,
+            time_constant_s: value(section, &TIME_CONSTANT_S.required())?,
         }))
     }
 

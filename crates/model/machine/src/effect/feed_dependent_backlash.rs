@@ -14,6 +14,7 @@ use super::{
     cause_spec::{CauseSpec, Definition, Entry, Input, OnBoard, Parameter, Target, Value},
     data_view::{DataView, StartValues},
 };
+use crate::file::keys::term::{AT_FEED_MM_PER_MIN, FEEDS_MM_PER_MIN, WIDTH_UM};
 use crate::{file::read::Section, location::BadInput, model::pitch::is_reverse};
 
 /// The column of the feed, in mm/min.
@@ -63,9 +64,9 @@ impl FeedDependentBacklash {
 impl CauseSpec for FeedDependentBacklash {
     fn entries(&self) -> Vec<Entry> {
         vec![
-            ("feeds_mm_per_min", Value::Numbers(self.feeds_mm_per_min.clone())),
-            ("width_um", Value::Numbers(self.width_um.clone())),
-            ("at_feed_mm_per_min", Value::Number(self.at_feed_mm_per_min)),
+            (FEEDS_MM_PER_MIN.name, Value::Numbers(self.feeds_mm_per_min.clone())),
+            (WIDTH_UM.name, Value::Numbers(self.width_um.clone())),
+            (AT_FEED_MM_PER_MIN.name, Value::Number(self.at_feed_mm_per_min)),
         ]
     }
 
@@ -130,21 +131,21 @@ impl Definition for FeedDependentBacklash {
     const NAME: &'static str = "feed-dependent-backlash";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["feeds_mm_per_min", "width_um", "at_feed_mm_per_min"]
+        &[FEEDS_MM_PER_MIN.name, WIDTH_UM.name, AT_FEED_MM_PER_MIN.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let key = "feeds_mm_per_min";
+        let key = FEEDS_MM_PER_MIN.name;
         let feeds_mm_per_min = section.required(key, section.numbers(key)?)?;
         let is_rising = feeds_mm_per_min.windows(2).all(|pair| pair[0] < pair[1]);
         if feeds_mm_per_min.len() < 2 || !is_rising || feeds_mm_per_min[0] <= 0.0 {
             return Err(section.bad(key, "takes at least two feeds above 0, rising"));
         }
-        let width_um = section.required("width_um", section.numbers("width_um")?)?;
+        let width_um = section.required(WIDTH_UM.name, section.numbers(WIDTH_UM.name)?)?;
         if width_um.len() != feeds_mm_per_min.len() {
-            return Err(section.bad("width_um", "takes a width for each of feeds_mm_per_min"));
+            return Err(section.bad(WIDTH_UM.name, "takes a width for each of feeds_mm_per_min"));
         }
-        let at_feed_mm_per_min = section.positive("at_feed_mm_per_min")?;
+        let at_feed_mm_per_min = section.positive(AT_FEED_MM_PER_MIN.name)?;
         let at_feed_mm_per_min = at_feed_mm_per_min.unwrap_or(feeds_mm_per_min[0]);
         Ok(Self { feeds_mm_per_min, width_um, at_feed_mm_per_min })
     }

@@ -3,7 +3,12 @@
 
 use trueup_core::term::SpeedPower;
 
-use crate::file::{axis::LinearAxis, straightness::BSpline};
+use crate::file::{
+    axis::LinearAxis,
+    keys::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C},
+    straightness::BSpline,
+    table::table,
+};
 
 /// θ(P)·(L − L₀)/1000: what an axis that tilts does at a lever.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,17 +32,19 @@ pub enum Angle {
     Curve(BSpline),
 }
 
-/// c·(lag_τ(T) − T_ref): what something adds that follows a temperature.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Heat {
-    /// T: a column `temp_<name>_c`.
-    pub column: String,
-    /// c, in µm/K.
-    pub um_per_c: f64,
-    /// τ in s; 0: no lag.
-    pub time_constant_s: f64,
-    /// T_ref in °C.
-    pub reference_c: f64,
+table! {
+    /// c·(lag_τ(T) − T_ref): what something adds that follows a temperature.
+    #[derive(Clone, Debug, PartialEq)]
+    pub struct Heat {
+        /// T: a column `temp_<name>_c`.
+        column: String = COLUMN.of(Column).required();
+        /// c, in µm/K.
+        um_per_c: f64 = UM_PER_C.required();
+        /// τ in s; 0: no lag.
+        time_constant_s: f64 = TIME_CONSTANT_S.or("0.0");
+        /// T_ref in °C.
+        reference_c: f64 = REFERENCE_C.required();
+    }
 }
 
 /// c·lag_τ((n/1000)^power): what something adds that the spindle's speed heats, cold at the start.

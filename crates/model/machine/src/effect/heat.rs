@@ -1,28 +1,10 @@
 //! Shared parts of the causes that follow a temperature, c·(lag_τ(T) − T_ref).
 
 use super::{
-    cause_spec::{Entry, Heat, Input, Value},
+    cause_spec::{Heat, Input},
     data_view::DataView,
 };
-use crate::{
-    file::{read::Section, spindle::ElongationSource},
-    location::BadInput,
-};
-
-/// Returns the column of the temperature, which must be there.
-pub(crate) fn column(section: &Section<'_>) -> Result<String, BadInput> {
-    let column = section.required("column", section.temperature_column("column")?)?;
-    Ok(column.to_string())
-}
-
-pub(crate) fn entries(heat: &Heat) -> Vec<Entry> {
-    vec![
-        ("column", Value::Text(heat.column.clone())),
-        ("um_per_c", Value::Number(heat.um_per_c)),
-        ("time_constant_s", Value::Number(heat.time_constant_s)),
-        ("reference_c", Value::Number(heat.reference_c)),
-    ]
-}
+use crate::file::spindle::ElongationSource;
 
 pub(crate) fn inputs(heat: &Heat, lag_s: f64) -> Vec<Input<'_>> {
     vec![Input::Temperature { column: &heat.column, lag_s }]

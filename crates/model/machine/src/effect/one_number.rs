@@ -26,7 +26,10 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
-use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
+use crate::{
+    file::{axis::LinearAxis, key::Key, read::Section},
+    location::BadInput,
+};
 
 /// The value of the number that changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -104,16 +107,17 @@ trait Declared {
 
 /// A struct with the number of a cause.
 trait Single: Declared + Sized {
-    const KEYS: &'static [&'static str];
+    const KEY: Key;
+    const NAMES: &'static [&'static str];
 
     fn number(&self) -> f64;
 
     fn of(number: f64) -> Self;
 }
 
-/// Declares the struct of a cause with its number, whose name is the key in the file.
+/// Declares the struct of a cause with its number, and the number's key in the file.
 macro_rules! one_number {
-    ($(#[$attribute:meta])* $Name:ident { $(#[$doc:meta])* $key:ident }) => {
+    ($(#[$attribute:meta])* $Name:ident { $(#[$doc:meta])* $key:ident = $KEY:ident }) => {
         $(#[$attribute])*
         #[derive(Clone, Debug, PartialEq)]
         pub struct $Name {
@@ -131,7 +135,8 @@ macro_rules! one_number {
         }
 
         impl $crate::effect::one_number::Single for $Name {
-            const KEYS: &'static [&'static str] = &[stringify!($key)];
+            const KEY: $crate::file::key::Key = $crate::file::keys::term::$KEY;
+            const NAMES: &'static [&'static str] = &[Self::KEY.name];
 
             fn number(&self) -> f64 {
                 self.$key
@@ -148,7 +153,7 @@ use one_number;
 
 impl<T: Single> CauseSpec for T {
     fn entries(&self) -> Vec<Entry> {
-        vec![(T::KEYS[0], Value::Number(self.number()))]
+        vec![(T::KEY.name, Value::Number(self.number()))]
     }
 
     fn home(&self) -> Target {
@@ -236,7 +241,7 @@ impl<T: Single> CauseSpec for T {
             Neutral::At(neutral) => neutral,
             Neutral::Believed => self.number(),
         };
-        vec![Parameter::Fitted(T::KEYS[0], 0, neutral)]
+        vec![Parameter::Fitted(T::KEY.name, 0, neutral)]
     }
 }
 
@@ -244,12 +249,12 @@ impl<T: Single> Definition for T {
     const NAME: &'static str = T::IT.name;
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        T::KEYS
+        T::NAMES
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         let read = if T::IT.is_positive { positive } else { number };
-        read(section, T::KEYS[0]).map(T::of)
+        read(section, T::KEY).map(T::of)
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

@@ -1,18 +1,22 @@
 //! `outliers`: some readings are no readings. The prediction stays; such rows are set aside.
 
-use super::cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target, Value};
+use super::cause_spec::{CauseSpec, Definition, Entry, Input, Parameter, Target};
+use crate::file::keys::term::FRACTION;
+use crate::file::table::{Table, entries, table};
 use crate::{file::read::Section, location::BadInput};
 
-/// Rows that were set aside.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Outliers {
-    /// Their share of all rows; at least 0.
-    pub fraction: f64,
+table! {
+    /// Rows that were set aside.
+    #[derive(Clone, Debug, Default, PartialEq)]
+    pub struct Outliers {
+        /// Their share of all rows; at least 0.
+        fraction: f64 = FRACTION.required();
+    }
 }
 
 impl CauseSpec for Outliers {
     fn entries(&self) -> Vec<Entry> {
-        vec![("fraction", Value::Number(self.fraction))]
+        entries(self)
     }
 
     fn home(&self) -> Target {
@@ -58,11 +62,10 @@ impl Definition for Outliers {
     const NAME: &'static str = "outliers";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["fraction"]
+        Self::NAMES
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let fraction = section.required("fraction", section.not_negative("fraction")?)?;
-        Ok(Self { fraction })
+        Table::read(section)
     }
 }

@@ -16,6 +16,7 @@ use super::{
     data_view::{DataView, Reading, StartValues},
     wave::{self, Wave},
 };
+use crate::file::keys::term::{AMPLITUDE_UM, PERIOD_S, PHASE_DEG, START_S};
 use crate::{file::read::Section, location::BadInput};
 
 /// Readings in a turn, at least: what alternates from reading to reading is the way in which they are taken.
@@ -41,10 +42,10 @@ impl PeriodicInTime {
 impl CauseSpec for PeriodicInTime {
     fn entries(&self) -> Vec<Entry> {
         vec![
-            ("period_s", Value::Number(self.period_s)),
-            ("amplitude_um", Value::Number(self.wave.amplitude_um)),
-            ("phase_deg", Value::Number(self.wave.phase_deg)),
-            ("start_s", Value::Number(self.start_s)),
+            (PERIOD_S.name, Value::Number(self.period_s)),
+            (AMPLITUDE_UM.name, Value::Number(self.wave.amplitude_um)),
+            (PHASE_DEG.name, Value::Number(self.wave.phase_deg)),
+            (START_S.name, Value::Number(self.start_s)),
         ]
     }
 
@@ -109,17 +110,17 @@ impl Definition for PeriodicInTime {
     const NAME: &'static str = "periodic-in-time";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["period_s", "amplitude_um", "phase_deg", "start_s"]
+        &[PERIOD_S.name, AMPLITUDE_UM.name, PHASE_DEG.name, START_S.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         Ok(Self {
-            period_s: positive(section, "period_s")?,
-            start_s: section.number("start_s")?.unwrap_or(0.0),
+            period_s: positive(section, PERIOD_S)?,
+            start_s: section.number(START_S.name)?.unwrap_or(0.0),
             wave: Wave {
                 harmonic: 1,
-                amplitude_um: number(section, "amplitude_um")?,
-                phase_deg: section.number("phase_deg")?.unwrap_or(0.0),
+                amplitude_um: number(section, AMPLITUDE_UM)?,
+                phase_deg: section.number(PHASE_DEG.name)?.unwrap_or(0.0),
             },
         })
     }

@@ -104,7 +104,7 @@ impl Definition for PitchError {
     const NAME: &'static str = "pitch-error";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["start_mm", "step_mm", "forward_um", "reverse_um"]
+        Pitch::NAMES
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {

@@ -13,6 +13,7 @@ use super::{
     data_view::{DataView, Reading, StartValues, targets},
     wave::{self, Wave},
 };
+use crate::file::keys::term::{AMPLITUDE_UM, HARMONIC, PERIOD_MM, PHASE_DEG};
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// Waves of one period.
@@ -32,7 +33,7 @@ impl PitchPeriodic {
 
 impl CauseSpec for PitchPeriodic {
     fn entries(&self) -> Vec<Entry> {
-        let period_mm = ("period_mm", Value::Number(self.period_mm));
+        let period_mm = (PERIOD_MM.name, Value::Number(self.period_mm));
         [period_mm].into_iter().chain(wave::entries(&self.waves)).collect()
     }
 
@@ -112,13 +113,13 @@ impl Definition for PitchPeriodic {
     const NAME: &'static str = "pitch-periodic";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["period_mm", "harmonic", "amplitude_um", "phase_deg"]
+        &[PERIOD_MM.name, HARMONIC.name, AMPLITUDE_UM.name, PHASE_DEG.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         Ok(Self {
-            period_mm: positive(section, "period_mm")?,
-            waves: section.required("amplitude_um", wave::read(section)?)?,
+            period_mm: positive(section, PERIOD_MM)?,
+            waves: section.required(AMPLITUDE_UM.name, wave::read(section)?)?,
         })
     }
 

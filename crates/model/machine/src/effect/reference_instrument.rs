@@ -16,6 +16,9 @@ use super::{
     data_view::{DataView, Reading, StartValues},
     wave::{self, Wave},
 };
+use crate::file::keys::term::{
+    AMPLITUDE_UM, DESCRIPTION, HARMONIC, ORIGIN_MM, PERIOD_MM, PHASE_DEG,
+};
 use crate::{file::read::Section, location::BadInput};
 
 /// The variable of a wave.
@@ -78,10 +81,10 @@ impl ReferenceInstrument {
 
 impl CauseSpec for ReferenceInstrument {
     fn entries(&self) -> Vec<Entry> {
-        let mut entries = vec![("description", Value::Text(self.description.clone()))];
+        let mut entries = vec![(DESCRIPTION.name, Value::Text(self.description.clone()))];
         if !self.waves.is_empty() {
-            entries.push(("period_mm", Value::Number(self.period_mm)));
-            entries.extend(self.origin_mm.map(|mm| ("origin_mm", Value::Number(mm))));
+            entries.push((PERIOD_MM.name, Value::Number(self.period_mm)));
+            entries.extend(self.origin_mm.map(|mm| (ORIGIN_MM.name, Value::Number(mm))));
             entries.extend(wave::entries(&self.waves));
         }
         entries
@@ -162,20 +165,27 @@ impl Definition for ReferenceInstrument {
     const NAME: &'static str = "reference-instrument";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["description", "period_mm", "origin_mm", "harmonic", "amplitude_um", "phase_deg"]
+        &[
+            DESCRIPTION.name,
+            PERIOD_MM.name,
+            ORIGIN_MM.name,
+            HARMONIC.name,
+            AMPLITUDE_UM.name,
+            PHASE_DEG.name,
+        ]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
         let waves = wave::read(section)?.unwrap_or_default();
-        let period_mm = section.positive("period_mm")?;
+        let period_mm = section.positive(PERIOD_MM.name)?;
         Ok(Self {
-            description: section.text("description")?.unwrap_or_default().to_string(),
+            description: section.text(DESCRIPTION.name)?.unwrap_or_default().to_string(),
             period_mm: if waves.is_empty() {
                 period_mm.unwrap_or(1.0)
             } else {
-                section.required("period_mm", period_mm)?
+                section.required(PERIOD_MM.name, period_mm)?
             },
-            origin_mm: section.number("origin_mm")?,
+            origin_mm: section.number(ORIGIN_MM.name)?,
             waves,
             read: Read::Position,
         })

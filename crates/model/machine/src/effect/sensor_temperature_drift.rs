@@ -5,10 +5,12 @@
 //! ```
 
 use super::{
-    cause_spec::{CauseSpec, Definition, Entry, Heat, Input, OnBoard, Parameter, Target, number},
+    cause_spec::{CauseSpec, Definition, Entry, Heat, Input, OnBoard, Parameter, Target},
     data_view::{DataView, StartValues, spread},
     heat,
 };
+use crate::file::keys::term::{COLUMN, REFERENCE_C, TIME_CONSTANT_S, UM_PER_C};
+use crate::file::table::{Table, entries};
 use crate::{file::read::Section, location::BadInput};
 
 /// Heat without a lag.
@@ -17,7 +19,7 @@ pub struct SensorTemperatureDrift(pub Heat);
 
 impl CauseSpec for SensorTemperatureDrift {
     fn entries(&self) -> Vec<Entry> {
-        heat::entries(&self.0).into_iter().filter(|(key, _)| *key != "time_constant_s").collect()
+        entries(&self.0).into_iter().filter(|(key, _)| *key != TIME_CONSTANT_S.name).collect()
     }
 
     fn home(&self) -> Target {
@@ -66,16 +68,12 @@ impl Definition for SensorTemperatureDrift {
     const NAME: &'static str = "sensor-temperature-drift";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["column", "um_per_c", "reference_c"]
+        &[COLUMN.name, UM_PER_C.name, REFERENCE_C.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self(Heat {
-            column: heat::column(section)?,
-            um_per_c: number(section, "um_per_c")?,
-            time_constant_s: 0.0,
-            reference_c: number(section, "reference_c")?,
-        }))
+        // Without a time constant, which is no key of it.
+        Heat::read(section).map(Self)
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

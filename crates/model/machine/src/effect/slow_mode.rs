@@ -8,11 +8,15 @@
 use super::{
     cause_spec::{
         CauseSpec, Definition, Entry, Heat, HeatPath, Input, Nonlinear, OnBoard, Parameter, Target,
-        Value, minutes, number, positive,
+        minutes,
     },
     data_view::{DataView, StartValues, TIME_CONSTANTS},
     heat,
 };
+use crate::file::keys::term::{
+    AMPLITUDE_UM, COLUMN, REFERENCE_C, START_S, TIME_CONSTANT_S, UM_PER_C,
+};
+use crate::file::table::{Table, entries, table};
 use crate::{file::axis::LinearAxis, file::read::Section, location::BadInput};
 
 /// A slow part, by the time or by a temperature.
@@ -31,15 +35,34 @@ pub enum SlowMode {
     OfColumn(Heat),
 }
 
+table! {
+    /// The keys of one by the time.
+    struct InTime {
+        amplitude_um: f64 = AMPLITUDE_UM.of(Number).required();
+        time_constant_s: f64 = TIME_CONSTANT_S.of(Positive).required();
+        start_s: f64 = START_S.or("0.0");
+    }
+}
+
+table! {
+    /// The keys of one by a temperature: those of [`Heat`], with a lag.
+    struct OfColumn {
+        column: String = COLUMN.of(Column).required();
+        um_per_c: f64 = UM_PER_C.required();
+        time_constant_s: f64 = TIME_CONSTANT_S.of(Positive).required();
+        reference_c: f64 = REFERENCE_C.required();
+    }
+}
+
 impl CauseSpec for SlowMode {
     fn entries(&self) -> Vec<Entry> {
         match self {
-            Self::InTime { amplitude_um, time_constant_s, start_s } => vec![
-                ("amplitude_um", Value::Number(*amplitude_um)),
-                ("time_constant_s", Value::Number(*time_constant_s)),
-                ("start_s", Value::Number(*start_s)),
-            ],
-            Self::OfColumn(heat) => heat::entries(heat),
+            Self::InTime { amplitude_um, time_constant_s, start_s } => entries(&InTime {
+                amplitude_um: *amplitude_um,
+                time_constant_s: *time_constant_s,
+                start_s: *start_s,
+            }),
+            Self::OfColumn(heat) => entries(heat),
         }
     }
 
@@ -144,27 +167,16 @@ impl Definition for SlowMode {
     const NAME: &'static str = "slow-mode";
 
     fn keys(section: &Section<'_>) -> &'static [&'static str] {
-        if section.keys().contains(&"column") {
-            &["column", "um_per_c", "time_constant_s", "reference_c"]
-        } else {
-            &["amplitude_um", "time_constant_s", "start_s"]
-        }
+        if section.keys().contains(&COLUMN.name) { OfColumn::NAMES } else { InTime::NAMES }
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        if section.text("column")?.is_none() {
-            return Ok(Self::InTime {
-                amplitude_um: number(section, "amplitude_um")?,
-                time_constant_s: positive(section, "time_constant_s")?,
-                start_s: section.number("start_s")?.unwrap_or(0.0),
-            });
+        if section.text(COLUMN.name)?.is_none() {
+            let InTime { amplitude_um, time_constant_s, start_s } = InTime::read(section)?;
+            return Ok(Self::InTime { amplitude_um, time_constant_s, start_s });
         }
-        Ok(Self::OfColumn(Heat {
-            column: heat::column(section)?,
-            um_per_c: number(section, "um_per_c")?,
-            time_constant_s: positive(section, "time_constant_s")?,
-            reference_c: number(section, "reference_c")?,
-        }))
+        let OfColumn { column, um_per_c, time_constant_s, reference_c } = OfColumn::read(section)?;
+        Ok(Self::OfColumn(Heat { column, um_per_c, time_constant_s, reference_c }))
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

@@ -5,25 +5,27 @@
 //! ```
 
 use super::{
-    cause_spec::{
-        CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target, Value, number,
-    },
+    cause_spec::{CauseSpec, Definition, Entry, Input, Nonlinear, Parameter, Target},
     data_view::{DataView, StartValues},
 };
+use crate::file::keys::term::{AT_S, SIZE_UM};
+use crate::file::table::{Table, entries, table};
 use crate::{file::read::Section, location::BadInput};
 
-/// A jump.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Step {
-    /// The time, in the run's `time_s`.
-    pub at_s: f64,
-    /// s, in µm.
-    pub size_um: f64,
+table! {
+    /// A jump.
+    #[derive(Clone, Debug, Default, PartialEq)]
+    pub struct Step {
+        /// The time, in the run's `time_s`.
+        at_s: f64 = AT_S.required();
+        /// s, in µm.
+        size_um: f64 = SIZE_UM.required();
+    }
 }
 
 impl CauseSpec for Step {
     fn entries(&self) -> Vec<Entry> {
-        vec![("at_s", Value::Number(self.at_s)), ("size_um", Value::Number(self.size_um))]
+        entries(self)
     }
 
     fn home(&self) -> Target {
@@ -71,11 +73,11 @@ impl Definition for Step {
     const NAME: &'static str = "step";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["at_s", "size_um"]
+        Self::NAMES
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self { at_s: number(section, "at_s")?, size_um: number(section, "size_um")? })
+        Table::read(section)
     }
 
     fn law(&self, nonlinear: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

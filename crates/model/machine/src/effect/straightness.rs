@@ -10,9 +10,10 @@ use super::{
     },
     data_view::{DataView, StartValues, even_knots, targets},
 };
+use crate::file::keys::term::{ALONG, CONTROL_UM, KNOTS_MM, ORDER};
 use crate::{
     file::read::Section,
-    file::straightness::read_spline,
+    file::straightness::{SplineKeys, read_spline, spline_entries},
     file::{axis::LinearAxis, straightness::BSpline},
     location::BadInput,
     model::straightness::spline_weights,
@@ -40,15 +41,13 @@ fn knots_through(at: &[f64]) -> Vec<f64> {
     knots
 }
 
+/// The keys of the spline.
+const CURVE: SplineKeys = [ORDER, KNOTS_MM, CONTROL_UM];
+
 impl CauseSpec for Straightness {
     fn entries(&self) -> Vec<Entry> {
-        vec![
-            ("along", Value::Text(self.along.name().into())),
-            // 2, 3 or 4.
-            ("order", Value::Whole(self.spline.order as u32)),
-            ("knots_mm", Value::Numbers(self.spline.knots_mm.clone())),
-            ("control_um", Value::Numbers(self.spline.control_um.clone())),
-        ]
+        let along = (ALONG.name, Value::Text(self.along.name().into()));
+        [along].into_iter().chain(spline_entries(&self.spline, &CURVE)).collect()
     }
 
     fn home(&self) -> Target {
@@ -108,11 +107,11 @@ impl Definition for Straightness {
     const NAME: &'static str = "straightness";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["along", "order", "knots_mm", "control_um"]
+        &[ALONG.name, ORDER.name, KNOTS_MM.name, CONTROL_UM.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        Ok(Self { along: axis(section, "along")?, spline: read_spline(section, "control_um")? })
+        Ok(Self { along: axis(section, ALONG)?, spline: read_spline(section, &CURVE)? })
     }
 
     fn law(&self, _: &[f64], x: &[f64], add: &mut impl FnMut(usize, f64)) {

@@ -22,6 +22,7 @@ use super::{
     },
     data_view::{DataView, StartValues},
 };
+use crate::file::keys::term::{FORM, SLOPE_OVER, TIME_CONSTANT_S};
 use crate::{file::read::Section, location::BadInput};
 
 /// A thermometer that is late.
@@ -39,11 +40,11 @@ const SLOPES_OVER: [f64; 3] = [0.0, 0.3, 1.0];
 
 impl ThermometerLag {
     fn form_entries(&self) -> Vec<Entry> {
-        let form = |name: &str| ("form", Value::Text(name.into()));
+        let form = |name: &str| (FORM.name, Value::Text(name.into()));
         match self.form {
             LateForm::Delay => vec![form("delay")],
             LateForm::Lag { slope_over } => {
-                vec![form("lag"), ("slope_over", Value::Number(slope_over))]
+                vec![form("lag"), (SLOPE_OVER.name, Value::Number(slope_over))]
             }
         }
     }
@@ -51,7 +52,7 @@ impl ThermometerLag {
 
 impl CauseSpec for ThermometerLag {
     fn entries(&self) -> Vec<Entry> {
-        let mut entries = vec![("time_constant_s", Value::Number(self.time_constant_s))];
+        let mut entries = vec![(TIME_CONSTANT_S.name, Value::Number(self.time_constant_s))];
         entries.extend(self.form_entries());
         entries
     }
@@ -131,14 +132,14 @@ impl Definition for ThermometerLag {
     const NAME: &'static str = "thermometer-lag";
 
     fn keys(_: &Section<'_>) -> &'static [&'static str] {
-        &["time_constant_s", "form", "slope_over"]
+        &[TIME_CONSTANT_S.name, FORM.name, SLOPE_OVER.name]
     }
 
     fn read(section: &Section<'_>) -> Result<Self, BadInput> {
-        let slope_over = section.not_negative("slope_over")?.unwrap_or(0.0).min(1.0);
+        let slope_over = section.not_negative(SLOPE_OVER.name)?.unwrap_or(0.0).min(1.0);
         let lag = LateForm::Lag { slope_over };
-        let form = section.choice("form", &[("lag", lag), ("delay", LateForm::Delay)])?;
-        let time_constant_s = positive(section, "time_constant_s")?;
+        let form = section.choice(FORM.name, &[("lag", lag), ("delay", LateForm::Delay)])?;
+        let time_constant_s = positive(section, TIME_CONSTANT_S)?;
         Ok(Self { time_constant_s, form: form.unwrap_or(lag) })
     }
 

@@ -1,6 +1,7 @@
 //! Waves of a periodic error: what the causes have in common that have some.
 
 use super::cause_spec::{Entry, Value};
+use crate::file::keys::term::{AMPLITUDE_UM, HARMONIC, PHASE_DEG};
 use crate::{file::read::Section, location::BadInput};
 
 /// One wave of a periodic error.
@@ -28,9 +29,9 @@ impl Wave {
 
     pub(crate) fn record(&self) -> Vec<Entry> {
         vec![
-            ("harmonic", Value::Whole(self.harmonic)),
-            ("amplitude_um", Value::Number(self.amplitude_um)),
-            ("phase_deg", Value::Number(self.phase_deg)),
+            (HARMONIC.name, Value::Whole(self.harmonic)),
+            (AMPLITUDE_UM.name, Value::Number(self.amplitude_um)),
+            (PHASE_DEG.name, Value::Number(self.phase_deg)),
         ]
     }
 }
@@ -46,15 +47,15 @@ pub(crate) fn set(waves: &mut [Wave], values: &[f64]) {
 pub(crate) fn entries(waves: &[Wave]) -> [Entry; 3] {
     let list = |of: fn(&Wave) -> f64| Value::Numbers(waves.iter().map(of).collect());
     [
-        ("harmonic", Value::Wholes(waves.iter().map(|wave| wave.harmonic).collect())),
-        ("amplitude_um", list(|wave| wave.amplitude_um)),
-        ("phase_deg", list(|wave| wave.phase_deg)),
+        (HARMONIC.name, Value::Wholes(waves.iter().map(|wave| wave.harmonic).collect())),
+        (AMPLITUDE_UM.name, list(|wave| wave.amplitude_um)),
+        (PHASE_DEG.name, list(|wave| wave.phase_deg)),
     ]
 }
 
 /// `harmonic`, `amplitude_um` and `phase_deg`: three numbers of one wave, or three arrays.
 pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, BadInput> {
-    let Some(amplitudes) = section.number_or_numbers("amplitude_um")? else { return Ok(None) };
+    let Some(amplitudes) = section.number_or_numbers(AMPLITUDE_UM.name)? else { return Ok(None) };
     let alike = |key, or: fn(usize) -> f64| {
         let values = section.number_or_numbers(key)?;
         let values = values.unwrap_or_else(|| (0..amplitudes.len()).map(or).collect());
@@ -68,13 +69,13 @@ pub(crate) fn read(section: &Section<'_>) -> Result<Option<Vec<Wave>>, BadInput>
         );
         Err(section.bad(key, rule))
     };
-    let harmonics = alike("harmonic", |index| (index + 1) as f64)?;
-    let phases = alike("phase_deg", |_| 0.0)?;
+    let harmonics = alike(HARMONIC.name, |index| (index + 1) as f64)?;
+    let phases = alike(PHASE_DEG.name, |_| 0.0)?;
     let mut waves = Vec::new();
     for ((&harmonic, &amplitude_um), &phase_deg) in harmonics.iter().zip(&amplitudes).zip(&phases) {
         if harmonic.fract() != 0.0 || !(1.0..=1000.0).contains(&harmonic) {
             let rule = format!("must be whole numbers from 1 to 1000, not {harmonic}");
-            return Err(section.bad("harmonic", rule));
+            return Err(section.bad(HARMONIC.name, rule));
         }
         // Held to 1000 above.
         waves.push(Wave { harmonic: harmonic as u32, amplitude_um, phase_deg });

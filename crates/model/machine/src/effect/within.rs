@@ -13,6 +13,7 @@ use super::{
     law::Columns,
     one_number::CentrifugalGrowth,
 };
+use crate::file::keys::term::{LEVELS, WHERE_ABOVE, WHERE_BELOW, WHERE_COLUMN};
 use crate::{
     file::{
         axis::LinearAxis,
@@ -48,8 +49,8 @@ impl Side {
 
     fn key(self) -> &'static str {
         match self {
-            Self::Above => "where_above",
-            Self::Below => "where_below",
+            Self::Above => WHERE_ABOVE.name,
+            Self::Below => WHERE_BELOW.name,
         }
     }
 }
@@ -74,22 +75,26 @@ impl Within {
             section.number(side.key()).transpose().map(|bound| bound.map(|bound| (side, bound)))
         });
         let (range, second) = (sides.next().transpose()?, sides.next().transpose()?);
-        let column = section.text("where_column")?;
+        let column = section.text(WHERE_COLUMN.name)?;
         let is_level =
             matches!(&effect, Effect::Dependence(Dependence { form: Form::Constant { .. }, .. }));
         match (column, range) {
             (None, None) if is_level => {
-                Err(section.bad("levels", "is missing: a level without levels needs where_column"))
+                Err(section
+                    .bad(LEVELS.name, "is missing: a level without levels needs where_column"))
             }
             (None, None) => Ok(effect),
             (None, Some((side, _))) => Err(section.bad(side.key(), "needs where_column")),
-            (Some(_), None) => Err(section.bad("where_column", "needs where_above or where_below")),
+            (Some(_), None) => {
+                Err(section.bad(WHERE_COLUMN.name, "needs where_above or where_below"))
+            }
             (Some(_), Some(_)) if second.is_some() => {
-                Err(section.bad("where_below", "does not go with where_above: state one of them"))
+                Err(section
+                    .bad(WHERE_BELOW.name, "does not go with where_above: state one of them"))
             }
             (Some(_), Some(_)) if effect.stage() != Stage::Sum => {
                 let rule = "belongs to causes that are added: this one changes the model's own law";
-                Err(section.bad("where_column", rule))
+                Err(section.bad(WHERE_COLUMN.name, rule))
             }
             (Some(column), Some((side, bound))) => Ok(Effect::Within(Self {
                 effect: Box::new(effect),
@@ -166,7 +171,7 @@ impl Within {
 impl CauseSpec for Within {
     fn entries(&self) -> Vec<Entry> {
         let mut entries = self.effect.entries();
-        entries.push(("where_column", Value::Text(self.column.clone())));
+        entries.push((WHERE_COLUMN.name, Value::Text(self.column.clone())));
         entries.push((self.side.key(), Value::Number(self.bound)));
         entries
     }

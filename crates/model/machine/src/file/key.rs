@@ -94,6 +94,11 @@ pub(crate) const fn section(
 }
 
 impl Key {
+    /// Returns it with a narrower form.
+    pub(crate) const fn of(self, form: Form) -> Self {
+        Self { form, ..self }
+    }
+
     pub(crate) const fn required(self) -> Self {
         Self { need: Need::Required, ..self }
     }

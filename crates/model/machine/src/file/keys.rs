@@ -4,7 +4,7 @@
 //! not stand here is refused wherever it is used; the JSON schema and the tables of `docs/reference.md` are
 //! made of it ([`crate::schema`]).
 
-mod term;
+pub(crate) mod term;
 
 use super::{
     axis, inputs,

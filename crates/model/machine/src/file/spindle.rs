@@ -5,7 +5,7 @@
 use super::{
     key::{Form, Key, key, section},
     read::Section,
-    table::{KeyValue, Table, choice, table},
+    table::{KeyValue, Table, choice, table, value, written},
     tools::{self, Tools},
     write::section::NewSection,
 };
@@ -26,28 +26,30 @@ pub struct Spindle {
     pub tools: Option<Tools>,
 }
 
-pub(super) const SPINDLE: &[Key] = &[
-    SOURCE,
-    section(
-        "sensor",
-        SensorKeys::KEYS,
-        "growth by a displacement sensor: `k0_um` + (reading − zero) · slope",
-    ),
-    section("warmup", Warmup::KEYS, "growth over the time that the spindle has run"),
-    section(
-        "temperature",
-        TemperatureModel::KEYS,
-        "growth by a temperature: `k_um_per_c` · (T − `reference_c`)",
-    ),
-    section(
-        "tools",
-        tools::TOOLS,
-        "growth with speed by tool, added to the model in use: `um_per_krpm2` · (n/1000)²",
-    ),
-];
+pub(super) const SPINDLE: &[Key] = &[SOURCE, SENSOR, WARMUP, TEMPERATURE, TOOLS];
 
 const SOURCE: Key = key("source", Form::Choice(ElongationSource::NAMES), "", "the model of the growth in use; the others that are there are what the board falls back to. Without it nothing grows")
     .as_in("\"sensor\"");
+const SENSOR: Key = section(
+    ElongationSource::Sensor.name(),
+    SensorKeys::KEYS,
+    "growth by a displacement sensor: `k0_um` + (reading − zero) · slope",
+);
+const WARMUP: Key = section(
+    ElongationSource::Warmup.name(),
+    Warmup::KEYS,
+    "growth over the time that the spindle has run",
+);
+const TEMPERATURE: Key = section(
+    ElongationSource::Temperature.name(),
+    TemperatureModel::KEYS,
+    "growth by a temperature: `k_um_per_c` · (T − `reference_c`)",
+);
+const TOOLS: Key = section(
+    "tools",
+    tools::TOOLS,
+    "growth with speed by tool, added to the model in use: `um_per_krpm2` · (n/1000)²",
+);
 
 choice! {
     /// Where the elongation comes from. Its name is also that of its section under `[spindle]`.
@@ -142,13 +144,13 @@ table! {
 pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<Spindle, BadInput> {
     let spindle = Spindle {
         source: ElongationSource::at(section, &SOURCE)?,
-        sensor: section.section("sensor")?.map(|model| read_sensor(&model, input)).transpose()?,
-        warmup: section.section("warmup")?.map(|model| Warmup::read(&model)).transpose()?,
-        temperature: section
-            .section("temperature")?
-            .map(|model| TemperatureModel::read(&model))
+        sensor: section
+            .section(SENSOR.name)?
+            .map(|model| read_sensor(&model, input))
             .transpose()?,
-        tools: section.section("tools")?.map(|list| tools::read(&list)).transpose()?,
+        warmup: value(section, &WARMUP)?,
+        temperature: value(section, &TEMPERATURE)?,
+        tools: section.section(TOOLS.name)?.map(|list| tools::read(&list)).transpose()?,
     };
     let missing = spindle.source.filter(|source| match source {
         ElongationSource::Sensor => spindle.sensor.is_none(),
@@ -157,7 +159,7 @@ pub(super) fn read(section: &Section<'_>, input: Option<SensorInput>) -> Result<
     });
     if let Some(name) = missing.map(ElongationSource::name) {
         let rule = format!("is \"{name}\", but [spindle.{name}] is missing");
-        return Err(section.bad("source", rule));
+        return Err(section.bad(SOURCE.name, rule));
     }
     Ok(spindle)
 }
@@ -208,24 +210,24 @@ fn is_consistent(section: &Section<'_>, warmup: Warmup) -> Result<Warmup, BadInp
 }
 
 pub(super) fn write(spindle: &Spindle) -> Vec<NewSection> {
-    let inner = |key: &str| NewSection::new(format!("spindle.{key}"));
+    let inner = |key: Key| NewSection::new(format!("spindle.{}", key.name));
     let mut sections = Vec::new();
     if let Some(source) = spindle.source {
-        sections.push(NewSection::new("spindle").text(SOURCE.name, source.name()));
+        sections.push(written(NewSection::new("spindle"), &SOURCE, &source));
     }
     sections.extend(spindle.sensor.clone().map(|it| {
         let SensorModel { k0_um, zero_counts, um_per_count, temperature } = it;
         let (zero_counts, um_per_count) = (Some(zero_counts), Some(um_per_count));
         let (zero_v, um_per_v) = (None, None);
         SensorKeys { k0_um, zero_counts, um_per_count, zero_v, um_per_v, temperature }
-            .write(inner("sensor"))
+            .write(inner(SENSOR))
     }));
-    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner("temperature"))));
+    sections.extend(spindle.temperature.as_ref().map(|it| it.write(inner(TEMPERATURE))));
     sections.extend(spindle.warmup.as_ref().map(|it| {
-        let section = it.write(inner("warmup"));
+        let section = it.write(inner(WARMUP));
         if it.rated_rpm.is_some() { section } else { section.without(&["speed_exponent"]) }
     }));
-    sections.extend(spindle.tools.as_ref().map(tools::write));
+    sections.extend(spindle.tools.as_ref().map(|it| tools::write(inner(TOOLS), it)));
     sections
 }
 

@@ -7,7 +7,7 @@ use super::{
         Key, key, section,
     },
     read::{MAX_ELEMENTS, Section},
-    write::section::NewSection,
+    write::section::{NewSection, Value},
 };
 use crate::location::BadInput;
 
@@ -30,7 +30,7 @@ impl Straightness {
     /// Returns the name of its section under `[straightness]`: `z_of_x`.
     #[must_use]
     pub fn name(&self) -> String {
-        pair_name((self.error, self.along))
+        key_of(STRAIGHTNESS, (self.error, self.along)).map_or("", |key| key.name).to_string()
     }
 }
 
@@ -50,12 +50,13 @@ impl Squareness {
     /// Its key under `[squareness]`: `x_of_y_um_per_m`.
     #[must_use]
     pub fn name(&self) -> String {
-        format!("{}_um_per_m", pair_name((self.error, self.along)))
+        key_of(SQUARENESS, (self.error, self.along)).map_or("", |key| key.name).to_string()
     }
 }
 
-fn pair_name((error, along): (LinearAxis, LinearAxis)) -> String {
-    format!("{}_of_{}", error.name(), along.name())
+/// Returns the key of a pair; `None` where it is no pair of two axes.
+fn key_of(keys: &'static [Key], pair: (LinearAxis, LinearAxis)) -> Option<&'static Key> {
+    Straightness::PAIRS.iter().zip(keys).find(|(it, _)| **it == pair).map(|(_, key)| key)
 }
 
 /// A clamped B-spline: µm over mm.
@@ -149,10 +150,13 @@ impl BSpline {
     }
 }
 
-const CURVE: &[Key] = &[
+/// Keys of a spline: its order, its knots, its control points.
+pub(crate) type SplineKeys = [Key; 3];
+
+const CURVE: SplineKeys = [
     key("order", Whole(2, 4), "", "degree plus one; 4 is cubic").required().as_in("4"),
     KNOTS.required(),
-    key(CONTROL, Numbers, "µm", "the control points")
+    key("control_um", Numbers, "µm", "the control points")
         .required()
         .as_in("[0.0, 3.0, -2.0, 4.0, 0.0]"),
 ];
@@ -163,12 +167,12 @@ pub(super) const KNOTS: Key = key("knots_mm", Numbers, "mm", "as many as control
 
 /// In the order of [`Straightness::PAIRS`].
 pub(super) const STRAIGHTNESS: &[Key] = &[
-    section("y_of_x", CURVE, "the B-spline of Y's deviation while X moves"),
-    section("z_of_x", CURVE, "of Z while X moves"),
-    section("z_of_y", CURVE, "of Z while Y moves"),
-    section("x_of_y", CURVE, "of X while Y moves"),
-    section("x_of_z", CURVE, "of X while Z moves"),
-    section("y_of_z", CURVE, "of Y while Z moves"),
+    section("y_of_x", &CURVE, "the B-spline of Y's deviation while X moves"),
+    section("z_of_x", &CURVE, "of Z while X moves"),
+    section("z_of_y", &CURVE, "of Z while Y moves"),
+    section("x_of_y", &CURVE, "of X while Y moves"),
+    section("x_of_z", &CURVE, "of X while Z moves"),
+    section("y_of_z", &CURVE, "of Y while Z moves"),
 ];
 
 const fn line(name: &'static str, meaning: &'static str) -> Key {
@@ -189,26 +193,23 @@ pub(super) fn read_straightness(section: &Section<'_>) -> Result<Vec<Straightnes
     let mut curves = Vec::new();
     for ((error, along), key) in Straightness::PAIRS.into_iter().zip(STRAIGHTNESS) {
         if let Some(section) = section.section(key.name)? {
-            curves.push(Straightness { error, along, spline: read_spline(&section, CONTROL)? });
+            curves.push(Straightness { error, along, spline: read_spline(&section, &CURVE)? });
         }
     }
     Ok(curves)
 }
 
-/// The key of the control points where a spline is an error.
-const CONTROL: &str = "control_um";
-
-/// Returns a spline among the keys of `section`, which may have others; its control points at the key
-/// `control`.
-pub(crate) fn read_spline(section: &Section<'_>, control: &str) -> Result<BSpline, BadInput> {
-    let order = section.required("order", section.whole("order", 0, u32::MAX)?)?;
-    let knots_mm = section.required("knots_mm", section.numbers("knots_mm")?)?;
+/// Returns a spline among the keys of `section`, which may have others.
+pub(crate) fn read_spline(section: &Section<'_>, keys: &SplineKeys) -> Result<BSpline, BadInput> {
+    let [order, knots, control] = keys.map(|key| key.name);
+    let order = section.required(order, section.whole(order, 0, u32::MAX)?)?;
+    let knots_mm = section.required(knots, section.numbers(knots)?)?;
     let control_um = section.required(control, section.numbers(control)?)?;
     // An order beyond every array is as wrong as any other that is not 2, 3 or 4.
     let order = usize::try_from(order).unwrap_or(MAX_ELEMENTS);
     let spline = BSpline { order, knots_mm, control_um };
     spline.check().map_err(|fault| {
-        let named = |text: String| text.replace(CONTROL, control);
+        let named = |text: String| text.replace(CURVE[2].name, control);
         section.bad(&named(fault.key), named(fault.rule))
     })?;
     Ok(spline)
@@ -226,17 +227,25 @@ pub(super) fn read_squareness(section: &Section<'_>) -> Result<Vec<Squareness>, 
 
 pub(super) fn write_straightness(curve: &Straightness) -> NewSection {
     let section = NewSection::new(format!("straightness.{}", curve.name()));
-    spline_keys(section, &curve.spline, CONTROL)
+    write_spline(section, &curve.spline, &CURVE)
 }
 
-/// Returns the keys of a spline, after those that `section` has; its control points at the key `control`.
-pub(super) fn spline_keys(section: NewSection, spline: &BSpline, control: &str) -> NewSection {
+/// Returns `section` with a spline after the keys that it has.
+pub(super) fn write_spline(section: NewSection, spline: &BSpline, keys: &SplineKeys) -> NewSection {
+    let with = |section: NewSection, (key, value)| section.with(key, value);
+    spline_entries(spline, keys).into_iter().fold(section, with)
+}
+
+/// Returns the keys of a spline with their values.
+pub(crate) fn spline_entries(spline: &BSpline, keys: &SplineKeys) -> [(&'static str, Value); 3] {
     // What passes `check` is 2, 3 or 4.
     let order = u32::try_from(spline.order).unwrap_or(u32::MAX);
-    section
-        .whole("order", order)
-        .numbers("knots_mm", &spline.knots_mm[..])
-        .numbers(control, &spline.control_um[..])
+    let [order_key, knots, control] = keys.map(|key| key.name);
+    [
+        (order_key, Value::Whole(order)),
+        (knots, Value::Numbers(spline.knots_mm.clone())),
+        (control, Value::Numbers(spline.control_um.clone())),
+    ]
 }
 
 pub(super) fn write_squareness(angles: &[Squareness]) -> Option<NewSection> {

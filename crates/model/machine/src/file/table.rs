@@ -25,13 +25,14 @@ use crate::location::BadInput;
 /// }
 /// ```
 ///
-/// A key has the name of its field. `rules`, where it is there, holds the keys that were read against each other.
+/// A key has the name of its field. One that several tables have is declared as a constant, which stands in the place of
+/// `key(…)`. `rules`, where it is there, holds the keys that were read against each other.
 macro_rules! table {
     (
         $(#[$attribute:meta])*
         $visibility:vis struct $Name:ident {
             $($(#[$doc:meta])* $field:ident: $Type:ty =
-                key($form:expr, $unit:literal, $meaning:literal)
+                $key:ident $(($form:expr, $unit:literal, $meaning:literal))?
                 $(.$property:ident($($argument:expr),*))*;)*
         }
         $(checked by $rules:path)?
@@ -40,18 +41,23 @@ macro_rules! table {
         $visibility struct $Name {
             $(
                 $(#[$doc])*
-                #[doc = ""]
-                #[doc = concat!("`", stringify!($field), "`: ", $meaning, ".")]
+                $(
+                    #[doc = ""]
+                    #[doc = concat!("`", stringify!($field), "`: ", $meaning, ".")]
+                )?
                 $visibility $field: $Type,
             )*
         }
 
         impl $crate::file::table::Table for $Name {
             const KEYS: &'static [$crate::file::key::Key] = {
+                #[allow(unused_imports, reason = "a key may be declared elsewhere")]
                 use $crate::file::key::{Form::*, key};
-                &[$(key(stringify!($field), $form, $unit, $meaning)
+                &[$($key $((stringify!($field), $form, $unit, $meaning))?
                     $(.$property($($argument),*))*),*]
             };
+
+            const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
             fn read(
                 section: &$crate::file::read::Section<'_>,
@@ -98,7 +104,7 @@ macro_rules! choice {
 
             /// Returns its name in files.
             #[must_use]
-            pub fn name(self) -> &'static str {
+            pub const fn name(self) -> &'static str {
                 Self::NAMES[self as usize]
             }
         }
@@ -127,6 +133,9 @@ pub(crate) use {choice, table};
 pub(crate) trait Table: Sized {
     /// Its keys, in the order of the reference.
     const KEYS: &'static [Key];
+
+    /// Their names.
+    const NAMES: &'static [&'static str];
 
     /// Returns what stands in `section`.
     fn read(section: &Section<'_>) -> Result<Self, BadInput>;
@@ -194,8 +203,13 @@ pub(crate) fn entries<T: Table>(table: &T) -> Vec<(&'static str, Value)> {
 
 /// Returns a table as it is written on one line.
 pub(crate) fn on_one_line(table: &impl Table) -> Value {
+    inline(entries(table))
+}
+
+/// Returns keys as they are written on one line.
+pub(crate) fn inline(entries: Vec<(&str, Value)>) -> Value {
     let entry = |(name, value): (&str, Value)| (name.to_string(), value);
-    Value::Inline(entries(table).into_iter().map(entry).collect())
+    Value::Inline(entries.into_iter().map(entry).collect())
 }
 
 impl<T: Table> KeyValue for T {
@@ -259,6 +273,17 @@ impl KeyValue for u8 {
     fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
         let whole = u32::at(section, key)?;
         Ok(whole.map(|it| u8::try_from(it).expect("the key's range is within that of u8")))
+    }
+
+    fn written(&self, _: &Key) -> Option<Value> {
+        Some(Value::Whole((*self).into()))
+    }
+}
+
+impl KeyValue for u16 {
+    fn at(section: &Section<'_>, key: &Key) -> Result<Option<Self>, BadInput> {
+        let whole = u32::at(section, key)?;
+        Ok(whole.map(|it| u16::try_from(it).expect("the key's range is within that of u16")))
     }
 
     fn written(&self, _: &Key) -> Option<Value> {

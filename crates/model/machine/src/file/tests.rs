@@ -182,3 +182,33 @@ fn mains_have_50_or_60_hz_and_nothing_between() {
         assert!(error.contains("mains_hz"), "{error}");
     }
 }
+
+#[test]
+fn the_keys_of_pairs_of_axes_stand_in_the_order_of_the_pairs() {
+    for (error, along) in Straightness::PAIRS {
+        let pair = format!("{}_of_{}", error.name(), along.name());
+        let spline = BSpline { order: 2, knots_mm: Vec::new(), control_um: Vec::new() };
+        assert_eq!(Straightness { error, along, spline }.name(), pair);
+        let squareness = Squareness { error, along, um_per_m: 0.0 };
+        assert_eq!(squareness.name(), format!("{pair}_um_per_m"));
+    }
+    for (about, along) in Angular::all() {
+        let angular = Angular { about, along, angle: Angle::Line(0.0) };
+        assert_eq!(angular.name(), format!("e{}{}", about.name(), along.name()));
+    }
+}
+
+#[test]
+fn the_keys_of_a_rotary_axis_are_its_shifts_and_tilts_in_order() {
+    let rotary = keys::FILE.iter().find(|key| key.name == "rotary").expect("it is there");
+    let keys::Form::Table(lines) = rotary.form else { panic!("{:?}", rotary.form) };
+    for (axis, line) in RotaryAxis::ALL.into_iter().zip(lines) {
+        let keys::Form::Table(keys) = line.form else { panic!("{:?}", line.form) };
+        let across = LinearAxis::ALL.into_iter().filter(|along| along.index() != axis.index());
+        let shifts = across.map(|along| format!("e{}o{}_um", along.name(), axis.name()));
+        let tilts = RotaryAxis::ALL.map(|about| format!("e{}o{}_urad", about.name(), axis.name()));
+        let expected: Vec<_> =
+            ["point_mm".to_string()].into_iter().chain(shifts).chain(tilts).collect();
+        assert_eq!(keys.iter().map(|key| key.name).collect::<Vec<_>>(), expected);
+    }
+}

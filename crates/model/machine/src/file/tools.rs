@@ -4,13 +4,10 @@
 //! that is added is `um_per_krpm2`·(n/1000)²; a tool that is not in the list has that of `default`.
 
 use super::{
-    key::{
-        Form::{Number, Text, Whole},
-        Key, key, section,
-    },
+    key::{Form, Key, key, section},
     read::Section,
-    table::value,
-    write::section::{NewSection, Value},
+    table::{Table, entries, inline, on_one_line, table},
+    write::section::NewSection,
 };
 use crate::{
     location::{BadInput, shortened},
@@ -20,20 +17,38 @@ use crate::{
 /// The key of every tool that is not in the list.
 const DEFAULT: &str = "default";
 
-const GROWTH: Key = key("um_per_krpm2", Number, "µm", "growth with speed, for (1000 r/min)²")
+table! {
+    /// The growth of every tool that is not in the list.
+    struct DefaultKeys {
+        um_per_krpm2: f64 = GROWTH;
+    }
+}
+
+table! {
+    /// A tool as it is written.
+    struct ToolKeys {
+        um_per_krpm2: f64 = GROWTH;
+        number: Option<u16> = key(Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").as_in("7");
+        label: Option<String> = key(Text, "", "of a key that is a number: what the column `tool` of a run file calls it").as_in("\"drill\"");
+    }
+}
+
+const GROWTH: Key = key("um_per_krpm2", Form::Number, "µm", "growth with speed, for (1000 r/min)²")
     .required()
     .as_in("0.021");
 
-const TOOL: &[Key] = &[
-    GROWTH,
-    key("number", Whole(0, 65_535), "", "of a key that is a label: the number that the CNC sends; `compile` refuses a label without one").as_in("7"),
-    key("label", Text, "", "of a key that is a number: what the column `tool` of a run file calls it").as_in("\"drill\""),
-];
-
 pub(super) const TOOLS: &[Key] = &[
-    section(DEFAULT, &[GROWTH], "every tool that is not in the list, and while no tool is known")
-        .required(),
-    section("<tool>", TOOL, "a tool, by the number that the CNC sends or by a label; at most 32"),
+    section(
+        DEFAULT,
+        DefaultKeys::KEYS,
+        "every tool that is not in the list, and while no tool is known",
+    )
+    .required(),
+    section(
+        "<tool>",
+        ToolKeys::KEYS,
+        "a tool, by the number that the CNC sends or by a label; at most 32",
+    ),
 ];
 
 /// The tools of a spindle.
@@ -85,21 +100,18 @@ impl Tools {
 }
 
 pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
-    let growth = |of: &Section<'_>| value::<f64>(of, &GROWTH);
     let default = section.required(DEFAULT, section.section(DEFAULT)?)?;
     let mut tools: Vec<Tool> = Vec::new();
     for key in section.keys().into_iter().filter(|key| *key != DEFAULT) {
         let Some(of) = section.section(key)? else { continue };
-        let stated = of.whole("number", 0, u16::MAX.into())?;
-        let stated = stated.map(|it| u16::try_from(it).expect("held to the range of u16 above"));
-        let label = of.text("label")?;
+        let ToolKeys { um_per_krpm2, number: stated, label } = ToolKeys::read(&of)?;
         let (number, label) = match key.parse::<f64>() {
             Err(_) if label.is_some() => {
                 return Err(
                     of.bad("label", "belongs to a key that is a number: this key is the label")
                 );
             }
-            Err(_) => (stated, Some(key)),
+            Err(_) => (stated, Some(key.to_string())),
             Ok(_) if stated.is_some() => {
                 return Err(
                     of.bad("number", "belongs to a key that is a label: this key is the number")
@@ -113,7 +125,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
                 (Some(number), label)
             }
         };
-        let label = label.map(str::trim).map(String::from);
+        let label = label.map(|it| it.trim().to_string());
         if label.as_deref().is_some_and(|label| label.is_empty() || label.parse::<f64>().is_ok()) {
             return Err(of.bad("label", "must be a word, not empty and no number"));
         }
@@ -124,7 +136,7 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
             let rule = format!("is the tool of {} as well", shortened(&other.key()));
             return Err(section.bad(key, rule));
         }
-        tools.push(Tool { number, label, um_per_krpm2: growth(&of)? });
+        tools.push(Tool { number, label, um_per_krpm2 });
     }
     let most = trueup_core::dimensions::MAX_TOOLS;
     if tools.len() > most {
@@ -135,19 +147,20 @@ pub(super) fn read(section: &Section<'_>) -> Result<Tools, BadInput> {
         return Err(section.bad(&last, rule));
     }
     tools.sort_by_key(|tool| tool.number.map_or(u32::MAX, u32::from));
-    Ok(Tools { default_um_per_krpm2: growth(&default)?, tools })
+    let DefaultKeys { um_per_krpm2 } = DefaultKeys::read(&default)?;
+    Ok(Tools { default_um_per_krpm2: um_per_krpm2, tools })
 }
 
-pub(super) fn write(tools: &Tools) -> NewSection {
-    let growth = |um: f64| (GROWTH.name.to_string(), Value::Number(um));
-    let section = NewSection::new("spindle.tools");
+/// Returns `section` with the tools and the default.
+pub(super) fn write(section: NewSection, tools: &Tools) -> NewSection {
     let section = tools.tools.iter().fold(section, |section, tool| {
-        let mut entries = Vec::new();
-        if let (Some(_), Some(label)) = (tool.number, &tool.label) {
-            entries.push(("label".to_string(), Value::Text(label.clone())));
-        }
-        entries.push(growth(tool.um_per_krpm2));
-        section.with(tool.key(), Value::Inline(entries))
+        // The key is the number, or else the label.
+        let label = tool.label.clone().filter(|_| tool.number.is_some());
+        let keys = ToolKeys { um_per_krpm2: tool.um_per_krpm2, number: None, label };
+        let mut entries = entries(&keys);
+        entries.rotate_left(1);
+        section.with(tool.key(), inline(entries))
     });
-    section.with(DEFAULT, Value::Inline(vec![growth(tools.default_um_per_krpm2)]))
+    let default = DefaultKeys { um_per_krpm2: tools.default_um_per_krpm2 };
+    section.with(DEFAULT, on_one_line(&default))
 }

@@ -15,8 +15,8 @@ use super::{
         Key, key, section,
     },
     read::Section,
-    straightness::{KNOTS, read_spline, spline_keys},
-    table::{Table, table},
+    straightness::{KNOTS, SplineKeys, read_spline, write_spline},
+    table::{Table, table, value, written},
     write::section::NewSection,
 };
 use crate::{effect::Angle, location::BadInput};
@@ -72,12 +72,10 @@ impl Angular {
     /// Returns its name in ISO 230-1, in lower case, which is its key under `[angular]`: `eax`.
     #[must_use]
     pub fn name(&self) -> String {
-        angle_name(self.about, self.along)
+        let all = Self::all().into_iter().zip(ANGLES);
+        let key = all.filter(|(it, _)| *it == (self.about, self.along)).map(|(_, key)| key.name);
+        key.collect()
     }
-}
-
-fn angle_name(about: RotaryAxis, along: LinearAxis) -> String {
-    format!("e{}{}", about.name(), along.name())
 }
 
 /// How far the line of a rotary axis is from where it should be.
@@ -134,27 +132,35 @@ const fn point(name: &'static str, meaning: &'static str) -> Key {
     key(name, Vector, "mm", meaning).or("[0.0, 0.0, 0.0]")
 }
 
-/// An angle over a position.
-const ANGLE: &[Key] = &[
-    key(
-        "urad_per_m",
-        Number,
-        "µrad/m",
-        "the angle for each metre from machine zero; or a B-spline",
-    )
-    .as_in("4.0"),
+/// An angle for each metre.
+const LINE: Key = key(
+    "urad_per_m",
+    Number,
+    "µrad/m",
+    "the angle for each metre from machine zero; or a B-spline",
+)
+.as_in("4.0");
+/// An angle as a B-spline.
+const CURVE: SplineKeys = [
     key("order", Whole(2, 4), "", "of a B-spline: degree plus one; 4 is cubic").as_in("4"),
     KNOTS,
     key("control_urad", Numbers, "µrad", "the control points").as_in("[0.0, 3.0, -2.0, 4.0, 0.0]"),
 ];
+/// An angle over a position.
+const ANGLE: &[Key] = &[LINE, CURVE[0], CURVE[1], CURVE[2]];
 
-pub(super) const ANGULAR: &[Key] = &[
+/// Of X, Y and Z.
+const POINTS: [Key; 3] = [
     point(
         "point_x_mm",
         "where pitch and straightness of X are stated: its angles do nothing there. Machine coordinates of the tool tip, of an axis that moves the workpiece on that part",
     ),
     point("point_y_mm", "the same of Y"),
     point("point_z_mm", "the same of Z"),
+];
+
+/// In the order of [`Angular::all`].
+const ANGLES: [Key; 9] = [
     section("eax", ANGLE, "the angle about +X, right-handed, of the part that X moves (roll)"),
     section("ebx", ANGLE, "about +Y while X moves"),
     section("ecx", ANGLE, "about +Z while X moves"),
@@ -166,12 +172,23 @@ pub(super) const ANGULAR: &[Key] = &[
     section("ecz", ANGLE, "about +Z while Z moves (roll)"),
 ];
 
+/// The points, then the angles.
+pub(super) const ANGULAR: &[Key] = &{
+    let mut keys = [POINTS[0]; POINTS.len() + ANGLES.len()];
+    let mut n = 0;
+    while n < keys.len() {
+        keys[n] = if n < POINTS.len() { POINTS[n] } else { ANGLES[n - POINTS.len()] };
+        n += 1;
+    }
+    keys
+};
+
 const fn shift(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Number, "µm", meaning).or("0.0")
+    key(name, Number, "µm", meaning).or("0.0").quiet()
 }
 
 const fn tilt(name: &'static str, meaning: &'static str) -> Key {
-    key(name, Number, "µrad", meaning).or("0.0")
+    key(name, Number, "µrad", meaning).or("0.0").quiet()
 }
 
 const POINT: Key = point(
@@ -179,109 +196,100 @@ const POINT: Key = point(
     "a point of its line with all axes at 0: of an axis that turns the workpiece in machine coordinates, of one that turns the tool from the spindle nose",
 );
 
+/// Of A, B and C: the point; the shifts along X, Y and Z without that along the line; the tilts about A, B and C.
+static LINES: [[Key; 6]; 3] = [
+    [
+        POINT,
+        shift("eyoa_um", "how far the line is off along +Y"),
+        shift("ezoa_um", "along +Z"),
+        tilt("eaoa_urad", "zero of the angle: about +X, right-handed"),
+        tilt("eboa_urad", "how far the line is turned about +Y, right-handed"),
+        tilt("ecoa_urad", "about +Z"),
+    ],
+    [
+        POINT,
+        shift("exob_um", "how far the line is off along +X"),
+        shift("ezob_um", "along +Z"),
+        tilt("eaob_urad", "how far the line is turned about +X, right-handed"),
+        tilt("ebob_urad", "zero of the angle: about +Y, right-handed"),
+        tilt("ecob_urad", "about +Z"),
+    ],
+    [
+        POINT,
+        shift("exoc_um", "how far the line is off along +X"),
+        shift("eyoc_um", "along +Y"),
+        tilt("eaoc_urad", "how far the line is turned about +X, right-handed"),
+        tilt("eboc_urad", "about +Y"),
+        tilt("ecoc_urad", "zero of the angle: about +Z, right-handed"),
+    ],
+];
+
 pub(super) const ROTARY: &[Key] = &[
-    section(
-        "a",
-        &[
-            POINT,
-            shift("eyoa_um", "how far the line is off along +Y"),
-            shift("ezoa_um", "along +Z"),
-            tilt("eaoa_urad", "zero of the angle: about +X, right-handed"),
-            tilt("eboa_urad", "how far the line is turned about +Y, right-handed"),
-            tilt("ecoa_urad", "about +Z"),
-        ],
-        "the line about which A turns",
-    ),
-    section(
-        "b",
-        &[
-            POINT,
-            shift("exob_um", "how far the line is off along +X"),
-            shift("ezob_um", "along +Z"),
-            tilt("eaob_urad", "how far the line is turned about +X, right-handed"),
-            tilt("ebob_urad", "zero of the angle: about +Y, right-handed"),
-            tilt("ecob_urad", "about +Z"),
-        ],
-        "the line about which B turns",
-    ),
-    section(
-        "c",
-        &[
-            POINT,
-            shift("exoc_um", "how far the line is off along +X"),
-            shift("eyoc_um", "along +Y"),
-            tilt("eaoc_urad", "how far the line is turned about +X, right-handed"),
-            tilt("eboc_urad", "about +Y"),
-            tilt("ecoc_urad", "zero of the angle: about +Z, right-handed"),
-        ],
-        "the line about which C turns",
-    ),
+    section(A.name(), &LINES[0], "the line about which A turns"),
+    section(B.name(), &LINES[1], "the line about which B turns"),
+    section(C.name(), &LINES[2], "the line about which C turns"),
 ];
 
 pub(super) fn read_angular(
     section: &Section<'_>,
 ) -> Result<(Vec<Angular>, [[f64; 3]; 3]), BadInput> {
     let mut point_mm = [[0.0; 3]; 3];
-    for (point, axis) in point_mm.iter_mut().zip(LinearAxis::ALL) {
-        *point = section.vector(&point_key(axis))?.unwrap_or_default();
+    for (point, key) in point_mm.iter_mut().zip(&POINTS) {
+        *point = value(section, key)?;
     }
     let mut angular = Vec::new();
-    for (about, along) in Angular::all() {
-        if let Some(section) = section.section(&angle_name(about, along))? {
+    for ((about, along), key) in Angular::all().into_iter().zip(ANGLES) {
+        if let Some(section) = section.section(key.name)? {
             angular.push(Angular { about, along, angle: read_angle(&section)? });
         }
     }
     Ok((angular, point_mm))
 }
 
-fn point_key(axis: LinearAxis) -> String {
-    format!("point_{}_mm", axis.name())
-}
-
 fn read_angle(section: &Section<'_>) -> Result<Angle, BadInput> {
-    let has = |key: &str| section.keys().contains(&key);
-    match section.number("urad_per_m")? {
-        None if !has("order") && !has("knots_mm") && !has("control_urad") => {
+    let of_curve = section.first_of(&CURVE.map(|key| key.name)).map(str::to_string);
+    match (section.number(LINE.name)?, of_curve) {
+        (None, None) => {
             let rule = "is missing: an angle is urad_per_m, or order, knots_mm and control_urad";
-            Err(section.bad("urad_per_m", rule))
+            Err(section.bad(LINE.name, rule))
         }
-        None => Ok(Angle::Curve(read_spline(section, "control_urad")?)),
-        Some(urad_per_m) => {
-            match ["order", "knots_mm", "control_urad"].into_iter().find(|it| has(it)) {
-                Some(key) => Err(section
-                    .bad(key, "must not stand next to urad_per_m: an angle is one or the other")),
-                None => Ok(Angle::Line(urad_per_m)),
-            }
+        (None, Some(_)) => Ok(Angle::Curve(read_spline(section, &CURVE)?)),
+        (Some(_), Some(key)) => {
+            let rule = "must not stand next to urad_per_m: an angle is one or the other";
+            Err(section.bad(&key, rule))
         }
+        (Some(urad_per_m), None) => Ok(Angle::Line(urad_per_m)),
     }
 }
 
-/// Returns the keys of the shifts and tilts of a rotary axis, each with its place among X, Y and Z; the
-/// shift along the line itself has none.
-fn location_keys(axis: RotaryAxis) -> ([Option<String>; 3], [String; 3]) {
-    let shift = LinearAxis::ALL.map(|along| {
-        (along.index() != axis.index()).then(|| format!("e{}o{}_um", along.name(), axis.name()))
-    });
-    let tilt = RotaryAxis::ALL.map(|about| format!("e{}o{}_urad", about.name(), axis.name()));
-    (shift, tilt)
+/// Returns the keys of the line of a rotary axis: of its point, of its shifts along X, Y and Z, of its tilts about A, B and
+/// C. The shift along the line itself has none.
+fn line_keys(axis: RotaryAxis) -> (&'static Key, [Option<&'static Key>; 3], [&'static Key; 3]) {
+    let [point, first, second, tilts @ ..] = &LINES[axis.index()];
+    let shifts = match axis {
+        A => [None, Some(first), Some(second)],
+        B => [Some(first), None, Some(second)],
+        C => [Some(first), Some(second), None],
+    };
+    (point, shifts, tilts.each_ref())
 }
 
 pub(super) fn read_rotary(section: &Section<'_>) -> Result<Vec<RotaryLocation>, BadInput> {
     let mut all = Vec::new();
     for axis in RotaryAxis::ALL {
         let Some(section) = section.section(axis.name())? else { continue };
-        let (shift, tilt) = location_keys(axis);
+        let (point, shifts, tilts) = line_keys(axis);
         let mut location = RotaryLocation {
             axis,
-            point_mm: section.vector("point_mm")?.unwrap_or_default(),
+            point_mm: value(&section, point)?,
             shift_um: [0.0; 3],
             tilt_urad: [0.0; 3],
         };
         for n in 0..3 {
-            if let Some(key) = &shift[n] {
-                location.shift_um[n] = section.number(key)?.unwrap_or(0.0);
+            if let Some(key) = shifts[n] {
+                location.shift_um[n] = value(&section, key)?;
             }
-            location.tilt_urad[n] = section.number(&tilt[n])?.unwrap_or(0.0);
+            location.tilt_urad[n] = value(&section, tilts[n])?;
         }
         all.push(location);
     }
@@ -311,31 +319,26 @@ pub(super) fn check(root: &Section<'_>, volume: &Volume) -> Result<(), BadInput>
 /// Returns the sections of the file.
 pub(super) fn write(volume: &Volume) -> Vec<NewSection> {
     let mut sections = Vec::new();
-    let points = LinearAxis::ALL.into_iter().zip(volume.point_mm);
-    let points = points.filter(|(_, point)| *point != [0.0; 3]);
-    let points = points.fold(NewSection::new("angular"), |section, (axis, point)| {
-        section.numbers(point_key(axis), point)
-    });
+    let points = POINTS.iter().zip(&volume.point_mm).filter(|(_, point)| **point != [0.0; 3]);
+    let points = points
+        .fold(NewSection::new("angular"), |section, (key, point)| written(section, key, point));
     if points.values().next().is_some() {
         sections.push(points);
     }
     for angular in &volume.angular {
         let section = NewSection::new(format!("angular.{}", angular.name()));
         sections.push(match &angular.angle {
-            Angle::Line(urad_per_m) => section.number("urad_per_m", *urad_per_m),
-            Angle::Curve(spline) => spline_keys(section, spline, "control_urad"),
+            Angle::Line(urad_per_m) => written(section, &LINE, urad_per_m),
+            Angle::Curve(spline) => write_spline(section, spline, &CURVE),
         });
     }
     for it in &volume.rotary {
-        let (shift, tilt) = location_keys(it.axis);
-        let mut section = NewSection::new(format!("rotary.{}", it.axis.name()));
-        section = section.numbers("point_mm", it.point_mm);
-        let shifts = shift.into_iter().zip(it.shift_um).filter_map(|(key, um)| Some((key?, um)));
-        let all = shifts.chain(tilt.into_iter().zip(it.tilt_urad));
-        for (key, value) in all.filter(|(_, value)| *value != 0.0) {
-            section = section.number(key, value);
-        }
-        sections.push(section);
+        let (point, shifts, tilts) = line_keys(it.axis);
+        let section = NewSection::new(format!("rotary.{}", it.axis.name()));
+        let section = written(section, point, &it.point_mm);
+        let shifts = shifts.into_iter().zip(&it.shift_um).filter_map(|(key, um)| Some((key?, um)));
+        let all = shifts.chain(tilts.into_iter().zip(&it.tilt_urad));
+        sections.push(all.fold(section, |section, (key, value)| written(section, key, value)));
     }
     if volume.tool != ToolTip::default() {
         sections.push(volume.tool.write(NewSection::new("tool")));

@@ -1,78 +1,111 @@
 //! A dependence as it stands in a machine file.
 
 use super::{Dependence, Form, values::SWITCH};
+use crate::file::keys::term::{
+    AT, COLUMN, CURVE_UM, FACTOR_PER_UNIT, FORM, FROM, LAG_S, LEVEL_DEFAULT, LEVEL_FACTOR,
+    LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M, LEVEL_UM_PER_UNIT, LEVELS, MINUS, REFERENCE,
+    TIMES, TIMES_REFERENCE, UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2, UM_PER_UNIT_PER_M,
+    UM_PER_UNIT_PER_UNIT,
+};
+use crate::file::table::value;
 use crate::{
     effect::cause_spec::{Times, number},
     file::read::{Section, is_temperature_column},
     location::BadInput,
 };
 
+/// Keys of a dependence.
+pub(super) const KEYS: &[&str] = &[
+    COLUMN.name,
+    MINUS.name,
+    FORM.name,
+    TIMES.name,
+    LEVELS.name,
+    LEVEL_UM.name,
+    LEVEL_UM_PER_KRPM2.name,
+    LEVEL_FACTOR.name,
+    LEVEL_UM_PER_M.name,
+    LEVEL_UM_PER_UNIT.name,
+    UM_PER_UNIT.name,
+    UM_PER_UNIT_PER_KRPM2.name,
+    FACTOR_PER_UNIT.name,
+    UM_PER_UNIT_PER_M.name,
+    UM_PER_UNIT_PER_UNIT.name,
+    TIMES_REFERENCE.name,
+    LEVEL_DEFAULT.name,
+    LAG_S.name,
+    REFERENCE.name,
+    FROM.name,
+    AT.name,
+    CURVE_UM.name,
+];
+
 /// Reads a dependence.
 pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
-    let column = section.required("column", section.text("column")?)?.to_string();
-    let times = match section.text("times")? {
+    let column = value::<String>(section, &COLUMN.required())?;
+    let times = match section.text(TIMES.name)? {
         None => Times::One,
         Some(name) => match Times::ALL.into_iter().find(|(known, _)| *known == name) {
             Some((_, times)) => times,
             None => {
-                let reference = section.number("times_reference")?.unwrap_or(0.0);
+                let reference = section.number(TIMES_REFERENCE.name)?.unwrap_or(0.0);
                 Times::Column { column: name.into(), reference, range: [reference; 2] }
             }
         },
     };
-    let minus = section.text("minus")?.map(String::from);
+    let minus = section.text(MINUS.name)?.map(String::from);
     if minus
         .as_deref()
         .is_some_and(|minus| ![&column[..], minus].iter().all(|it| is_temperature_column(it)))
     {
         return Err(
-            section.bad("minus", "takes a temperature from another one: both are temp_<name>_c")
+            section.bad(MINUS.name, "takes a temperature from another one: both are temp_<name>_c")
         );
     }
-    let lag_s = section.not_negative("lag_s")?.unwrap_or(0.0);
+    let lag_s = section.not_negative(LAG_S.name)?.unwrap_or(0.0);
     let [slope_key, level_key] = times.keys();
     const FORMS: [(&str, u8); 4] = [("level", 0), ("line", 1), ("hinge", 2), ("curve", 3)];
-    let form = match section.required("form", section.choice("form", &FORMS)?)? {
+    let form = match section.required(FORM.name, section.choice(FORM.name, &FORMS)?)? {
         // In a range of a column, which the reader of all causes sees to.
-        0 if section.numbers("levels")?.is_none() => {
-            match section.required(level_key, section.numbers(level_key)?)?[..] {
+        0 if section.numbers(LEVELS.name)?.is_none() => {
+            match value::<Vec<f64>>(section, &level_key.required())?[..] {
                 [added] => Form::Constant { added },
-                _ => return Err(section.bad("levels", "is missing")),
+                _ => return Err(section.bad(LEVELS.name, "is missing")),
             }
         }
         0 => {
-            let levels = section.required("levels", section.numbers("levels")?)?;
-            let added = section.required(level_key, section.numbers(level_key)?)?;
+            let levels = value::<Vec<f64>>(section, &LEVELS.required())?;
+            let added = value::<Vec<f64>>(section, &level_key.required())?;
             let is_repeated = |n: usize| levels[..n].contains(&levels[n]);
             if levels.len() < 2 || (0..levels.len()).any(is_repeated) {
-                return Err(section.bad("levels", "takes at least two different values"));
+                return Err(section.bad(LEVELS.name, "takes at least two different values"));
             }
             if added.len() != levels.len() {
-                return Err(section.bad(level_key, "takes a value for each of levels"));
+                return Err(section.bad(level_key.name, "takes a value for each of levels"));
             }
             if times == Times::One && added[0] != 0.0 {
                 let rule = "begins with 0: the first of levels adds nothing";
-                return Err(section.bad(level_key, rule));
+                return Err(section.bad(level_key.name, rule));
             }
             if lag_s != 0.0 && !levels.iter().all(|level| SWITCH.contains(level)) {
                 let rule = "belongs to levels of 0 and 1: a condition that acts behind a lag";
-                return Err(section.bad("lag_s", rule));
+                return Err(section.bad(LAG_S.name, rule));
             }
-            let otherwise = section.number("level_default")?.unwrap_or(0.0);
+            let otherwise = section.number(LEVEL_DEFAULT.name)?.unwrap_or(0.0);
             Form::Level { levels, added, otherwise }
         }
         1 => Form::Line {
             slope: number(section, slope_key)?,
-            reference: section.number("reference")?.unwrap_or(0.0),
+            reference: section.number(REFERENCE.name)?.unwrap_or(0.0),
         },
         3 => curve(section, &times)?,
         _ => {
-            let from = number(section, "from")?;
+            let from = number(section, FROM)?;
             Form::Hinge { slope: number(section, slope_key)?, from, range: [from; 2] }
         }
     };
     if lag_s != 0.0 && !matches!(form, Form::Level { .. } | Form::Line { .. }) {
-        return Err(section.bad("lag_s", "belongs to a level or a line"));
+        return Err(section.bad(LAG_S.name, "belongs to a level or a line"));
     }
     Ok(Dependence { column, minus, lag_s, form, times })
 }
@@ -80,15 +113,15 @@ pub(super) fn read(section: &Section<'_>) -> Result<Dependence, BadInput> {
 /// Reads a curve.
 fn curve(section: &Section<'_>, times: &Times) -> Result<Form, BadInput> {
     if *times != Times::One {
-        return Err(section.bad("times", "does not belong to a curve"));
+        return Err(section.bad(TIMES.name, "does not belong to a curve"));
     }
-    let at = section.required("at", section.numbers("at")?)?;
-    let added = section.required("curve_um", section.numbers("curve_um")?)?;
+    let at = value::<Vec<f64>>(section, &AT.required())?;
+    let added = value::<Vec<f64>>(section, &CURVE_UM.required())?;
     if at.len() < 2 || !at.windows(2).all(|pair| pair[0] < pair[1]) {
-        return Err(section.bad("at", "takes at least two values that rise"));
+        return Err(section.bad(AT.name, "takes at least two values that rise"));
     }
     if added.len() != at.len() || added[0] != 0.0 {
-        return Err(section.bad("curve_um", "takes a value for each of at, and begins with 0"));
+        return Err(section.bad(CURVE_UM.name, "takes a value for each of at, and begins with 0"));
     }
     Ok(Form::Curve { at, added })
 }

@@ -1,5 +1,10 @@
 //! The factors that a dependence on a column is multiplied by.
 
+use crate::file::key::Key;
+use crate::file::keys::term::{
+    FACTOR_PER_UNIT, LEVEL_FACTOR, LEVEL_UM, LEVEL_UM_PER_KRPM2, LEVEL_UM_PER_M, LEVEL_UM_PER_UNIT,
+    UM_PER_UNIT, UM_PER_UNIT_PER_KRPM2, UM_PER_UNIT_PER_M, UM_PER_UNIT_PER_UNIT,
+};
 use crate::{
     effect::{
         cause_spec::Input,
@@ -73,13 +78,13 @@ impl Times {
     }
 
     /// Returns the keys of a slope and of the levels, which carry the unit.
-    pub(super) fn keys(&self) -> [&'static str; 2] {
+    pub(super) fn keys(&self) -> [Key; 2] {
         match self {
-            Self::One => ["um_per_unit", "level_um"],
-            Self::Speed2 => ["um_per_unit_per_krpm2", "level_um_per_krpm2"],
-            Self::Growth => ["factor_per_unit", "level_factor"],
-            Self::Position => ["um_per_unit_per_m", "level_um_per_m"],
-            Self::Column { .. } => ["um_per_unit_per_unit", "level_um_per_unit"],
+            Self::One => [UM_PER_UNIT, LEVEL_UM],
+            Self::Speed2 => [UM_PER_UNIT_PER_KRPM2, LEVEL_UM_PER_KRPM2],
+            Self::Growth => [FACTOR_PER_UNIT, LEVEL_FACTOR],
+            Self::Position => [UM_PER_UNIT_PER_M, LEVEL_UM_PER_M],
+            Self::Column { .. } => [UM_PER_UNIT_PER_UNIT, LEVEL_UM_PER_UNIT],
         }
     }
 

@@ -25,7 +25,7 @@ one_number! {
     /// A slope along the own axis: p + c·P/1000.
     PitchScale {
         /// c, in µm/m.
-        um_per_m
+        um_per_m = UM_PER_M
     }
 }
 
@@ -76,7 +76,7 @@ one_number! {
     /// A width: p + w where the axis was approached in the negative direction.
     Backlash {
         /// w, in µm.
-        width_um
+        width_um = WIDTH_UM
     }
 }
 
@@ -103,7 +103,7 @@ one_number! {
     /// A backlash that grows along the axis: p + c·P/1000 where it was approached in the negative direction.
     PositionDependentBacklash {
         /// c, in µm/m.
-        um_per_m
+        um_per_m = UM_PER_M
     }
 }
 
@@ -132,7 +132,7 @@ one_number! {
     /// `time_s`, `gauge_time_s`.
     TimeShift {
         /// Positive: the measurement comes later than the prediction; in s.
-        shift_s
+        shift_s = SHIFT_S
     }
 }
 

@@ -30,7 +30,7 @@ one_number! {
     /// A factor of the growth: s·p.
     GrowthAmplitude {
         /// s; 1: no change.
-        scale
+        scale = SCALE
     }
 }
 
@@ -62,7 +62,7 @@ one_number! {
     /// A warm-up without an end: Smax·(1 − e^(−(t − t₁)/τ)) after t₁, in place of the one with (t₂ − t₁)/k.
     GrowthRate {
         /// τ, in s; above 0.
-        time_constant_s
+        time_constant_s = TIME_CONSTANT_S
     }
 }
 
@@ -96,7 +96,7 @@ one_number! {
     /// Another lag while it falls: the lag, or the warm-up, with τ.
     CoolingAsymmetry {
         /// τ, in s; above 0.
-        time_constant_s
+        time_constant_s = TIME_CONSTANT_S
     }
 }
 
@@ -134,7 +134,7 @@ one_number! {
     /// Another lag: p from the temperature behind a lag of τ.
     ThermalLag {
         /// τ in place of the believed one, in s; above 0.
-        time_constant_s
+        time_constant_s = TIME_CONSTANT_S
     }
 }
 
@@ -182,7 +182,7 @@ one_number! {
     /// Another constant: c·(T − T_ref) in the mode "constant" or "both".
     ExpansionConstant {
         /// c in place of the believed one, in µm/K; any sign: positive where the warm axis goes too far.
-        um_per_c
+        um_per_c = UM_PER_C
     }
 }
 
@@ -229,7 +229,7 @@ one_number! {
     /// Another slope: c·(T − T_ref)·(P − P₀)/1000.
     ExpansionSlope {
         /// c in place of the believed one, in µm/(m·K).
-        um_per_m_per_c
+        um_per_m_per_c = UM_PER_M_PER_C
     }
 }
 
@@ -259,7 +259,7 @@ one_number! {
     /// Another reference: c·(T − T_ref − shift)·(P − P₀)/1000.
     ReferenceTemperature {
         /// Added to the believed T_ref, in K.
-        shift_c
+        shift_c = SHIFT_C
     }
 }
 

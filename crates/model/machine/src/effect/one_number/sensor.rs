@@ -23,7 +23,7 @@ one_number! {
     /// A shift of what is predicted: p + o.
     SensorOffset {
         /// o, in µm.
-        offset_um
+        offset_um = OFFSET_UM
     }
 }
 
@@ -50,7 +50,7 @@ one_number! {
     /// A factor: g·p.
     SensorGain {
         /// g; 1: no change.
-        gain
+        gain = GAIN
     }
 }
 
@@ -82,7 +82,7 @@ one_number! {
     /// A parabola: p + c·p².
     SensorCurvature {
         /// c, in 1/µm.
-        per_um
+        per_um = PER_UM
     }
 }
 
@@ -111,7 +111,7 @@ one_number! {
     /// A limit: min(p, limit).
     SensorSaturation {
         /// The largest elongation that it shows, in µm.
-        limit_um
+        limit_um = LIMIT_UM
     }
 }
 
@@ -139,7 +139,7 @@ one_number! {
     /// A parabola of the speed: p + c·(n/1000)², n in r/min.
     CentrifugalGrowth {
         /// c, in µm at 1000 r/min.
-        um_per_krpm2
+        um_per_krpm2 = UM_PER_KRPM2
     }
 }
 
@@ -170,7 +170,7 @@ one_number! {
     /// A compliance: p − c·load, load in N, positive where it pushes the tool back.
     CuttingLoad {
         /// c, in µm/N.
-        um_per_n
+        um_per_n = UM_PER_N
     }
 }
 
