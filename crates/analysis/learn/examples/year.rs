@@ -4,9 +4,9 @@
 //! seed, and `-v` lists the events.
 //!
 //! The floor is what the constants of the file allow: fitted without noise to all rows of the ten days before, as far as these
-//! are after the last event. No learner that changes constants alone is better for long: a thermometer that was moved shows a
+//! are after the last event. No learner that changes these alone is better for long: a thermometer that was moved shows a
 //! share of the air, which no constant takes off. With the air, one more value is fitted: the share of its rise over the air that
-//! the thermometer does not show. A board has no law of two temperatures over a position, so no file can have that.
+//! the thermometer does not show. The learner has that value as well, from the moment at which a thermometer may have moved.
 //!
 //! In each seed's year with a drift and without checks only the question for a check is judged: after 28 days, and on every day
 //! from then on.

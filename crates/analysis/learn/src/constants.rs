@@ -10,6 +10,9 @@
 //!
 //! x₀ is the zero of the reference, in µm: for the growth of a spindle it is written where the source
 //! has a place for it; for an axis the file has none.
+//!
+//! A law over a thermometer has one value more where a record has the temperature of the air: the rise over the air that its
+//! part has, in rises that the thermometer shows. It is 1 until the thermometer has moved ([`crate::rise`]).
 
 use serde::{Deserialize, Serialize};
 use toml_edit::{DocumentMut, Item, TableLike, Value};
@@ -18,6 +21,11 @@ use trueup_machine::{
     effect::{Effect, Stage},
     file::{ElongationSource, LinearAxis, Quantity, write},
     predict::Predictor,
+};
+
+use crate::{
+    rise::{self, Rise},
+    sections::find,
 };
 
 /// A constant that is learned.
@@ -39,6 +47,11 @@ impl Constant {
         self.key.ends_with(".reference_c")
     }
 
+    /// Returns true for the values that are held until a thermometer has moved.
+    pub(crate) fn is_held(&self) -> bool {
+        self.is_reference() || Rise::of(&self.key).is_some()
+    }
+
     /// Returns the unit of its value, by its key.
     #[must_use]
     pub fn unit(&self) -> String {
@@ -58,6 +71,9 @@ impl Constant {
 /// Returns the unit of a constant, by its key.
 pub(crate) fn unit(key: &str) -> String {
     let name = key.rsplit('.').next().unwrap_or(key);
+    if Rise::of(key).is_some() {
+        return "times".into();
+    }
     if name.starts_with("width_") {
         return "µm".into();
     }
@@ -76,8 +92,8 @@ pub(crate) fn unit(key: &str) -> String {
     }
 }
 
-/// Returns what can be learned of `quantity`, in the order of the file.
-pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> {
+/// Returns what can be learned of `quantity`, in the order of the file; `air` is the column of the air.
+pub(crate) fn constants(machine: &Machine, quantity: Quantity, air: Option<&str>) -> Vec<Constant> {
     let mut all = Vec::new();
     let mut add = |key: String, believed: f64| {
         if believed != 0.0 && believed.is_finite() {
@@ -140,6 +156,9 @@ pub(crate) fn constants(machine: &Machine, quantity: Quantity) -> Vec<Constant> 
         }
         all.push(Constant { key: format!("term[{index}].{key}"), believed, term: name });
     }
+    let rises = air.map_or(Vec::new(), |air| rise::of(machine, quantity, air));
+    let rises = rises.into_iter();
+    all.extend(rises.map(|key| Constant { key, believed: 1.0, term: String::new() }));
     all
 }
 
@@ -160,6 +179,8 @@ fn amplitude(effect: &Effect) -> Option<(&'static str, f64)> {
 pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
     let mut document: DocumentMut = source.parse().ok()?;
     let counts_per_v = counts_per_v(&document);
+    let (rises, changed): (Vec<_>, Vec<_>) =
+        changed.iter().partition(|(key, _)| Rise::of(key).is_some());
     for (key, number) in changed {
         let (section, name) = key.rsplit_once('.')?;
         let section = find(document.as_item_mut(), section)?.as_table_like_mut()?;
@@ -170,6 +191,10 @@ pub(crate) fn with(source: &str, changed: &[(String, f64)]) -> Option<String> {
             *new.decor_mut() = decor;
         }
         section.insert(name, new.into());
+    }
+    let own: DocumentMut = source.parse().ok()?;
+    for (key, number) in rises {
+        Rise::of(key)?.write(&own, &mut document, number - 1.0)?;
     }
     Some(document.to_string())
 }
@@ -197,22 +222,6 @@ fn counts_per_v(document: &DocumentMut) -> Option<f64> {
         value.as_float().or_else(|| value.as_integer().map(|it| it as f64))
     };
     Some(number("counts_full_scale")? / number("volts_full_scale")?)
-}
-
-fn find<'d>(root: &'d mut Item, key: &str) -> Option<&'d mut Item> {
-    key.split('.').try_fold(root, |item, name| {
-        let Some((array, number)) = name.split_once('[') else {
-            return item.as_table_like_mut()?.get_mut(name);
-        };
-        let number: usize = number.trim_end_matches(']').parse().ok()?;
-        let array = item.as_table_like_mut()?.get_mut(array)?;
-        // An array of tables, or an array of inline ones.
-        let is_there = match &*array {
-            Item::ArrayOfTables(tables) => number < tables.len(),
-            other => other.as_array().is_some_and(|array| number < array.len()),
-        };
-        if is_there { array.get_mut(number) } else { None }
-    })
 }
 
 /// Where the zero of the growth is written, and what an added micrometre makes of the number there;
@@ -253,13 +262,13 @@ const AIR_C: f64 = 20.0;
 const SHARE: f64 = 0.1;
 
 impl Sensitivity {
-    /// Of `run` by the machine file `source`.
+    /// Of `run` by the machine file `source`, to which the shares `applied` are applied.
     ///
     /// # Errors
     /// `source` is no machine file; the run lacks a column without which nothing can be predicted.
     pub fn of(
         source: &str,
-        constants: &[Constant],
+        (constants, applied): (&[Constant], &[f64]),
         run: &RunFile,
         quantity: Quantity,
     ) -> Result<Self, BadInput> {
@@ -272,7 +281,13 @@ impl Sensitivity {
         };
         let believed_um = predicted(source)?;
         let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
-        for Constant { key, believed, .. } in constants {
+        for (Constant { key, believed, .. }, share) in constants.iter().zip(&applied[1..]) {
+            if Rise::of(key).is_some_and(|rise| run.column(rise.air).is_none()) {
+                // Without the air nothing is known of what is over it.
+                let g = if *share == 0.0 { 0.0 } else { f64::NAN };
+                um.iter_mut().for_each(|row| row.push(g));
+                continue;
+            }
             let twice = with(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
             for ((row, twice), once) in um.iter_mut().zip(predicted(&twice)?).zip(&believed_um) {
                 row.push(twice - once);

@@ -60,6 +60,9 @@ const SCATTERS: [f64; 4] = [2.5, 3.2, 4.0, 6.0];
 const HALF: f64 = 0.25;
 /// By this factor at most the scatter of most readings may be below that of all: of twelve it is known to a third.
 const CORE: f64 = 1.5;
+/// A thermometer that shows m of a rise misses 1/m − 1 of what it shows. Wherever it goes, it shows no more than twice the rise of its
+/// part, and never the opposite.
+const LEAST_SHARE: f64 = -0.5;
 /// Standard errors between alternatives that are distinguished.
 const DISTINCT: f64 = 4.0;
 
@@ -150,7 +153,9 @@ pub(crate) fn explain(rows: &[Row<'_>], before: &Before, is_certain: bool) -> Op
                 _ => 1.0,
             })
             .collect();
-        let Some(fitted) = fit(alternative, &e, &h, sigma) else { continue };
+        let is_moved = matches!(alternative, Alternative::Thermometer(_));
+        let fitted = fit(alternative, &e, &h, sigma);
+        let Some(fitted) = fitted.filter(|it| !is_moved || it.size > LEAST_SHARE) else { continue };
         fits.push(fitted);
         let least = (MATERIAL * before.scatter_um[0]).max(KNOWN * unknown_um);
         if is_certain || fitted.effect_um >= least {

@@ -20,6 +20,7 @@ use crate::{
     readings::{self, FIRST_DAY_S, Reading},
     reconcile::reconciled,
     replay::{self, Believed},
+    rise,
     watch::watch,
     wear,
     written::{SAME, figures, written},
@@ -91,7 +92,7 @@ pub fn learn(
     let mut notes = Vec::new();
     let quantity = constants::measured(run, wanted)?;
     let (mut memory, has_restarted) =
-        reconciled(memory, &machine, quantity, &mut notes).map_err(bad)?;
+        reconciled(memory, &machine, (quantity, rise::air(run)), &mut notes).map_err(bad)?;
     let before = written(source, &machine, quantity, &memory).unwrap_or_else(|| source.into());
     // What a bridge applied meanwhile came from the file as it was written before.
     let ran = MachineFile::parse(&before, path)?;
@@ -100,7 +101,8 @@ pub fn learn(
     let has_bridge = has_bridge(&run, &ran, quantity)?;
     let record = readings::of(&run, quantity)?;
     let (new, seen) = unseen(&record, &memory, &run, &mut notes)?;
-    let sensitivity = Sensitivity::of(source, &memory.constants, &run, quantity)?;
+    let sensitivity =
+        Sensitivity::of(source, (&memory.constants, &memory.applied), &run, quantity)?;
     let old = memory.events.clone();
     let mut learner = Learner {
         believed: Believed::of(&memory),

@@ -39,6 +39,8 @@ mod memory;
 mod readings;
 mod reconcile;
 mod replay;
+mod rise;
+mod sections;
 pub mod trust;
 mod watch;
 mod wear;

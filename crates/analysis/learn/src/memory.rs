@@ -102,6 +102,9 @@ pub struct Memory {
     /// The values applied before the readings of an engaged bridge whose factor is not known moved them.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) proven: Option<Vec<f64>>,
+    /// The column of the air, where a record has had one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) air: Option<String>,
     /// The events, the latest last.
     pub events: Vec<Event>,
     /// Every change, the latest last.
@@ -302,6 +305,7 @@ fn read_older(text: &str) -> Result<Memory, String> {
         last_s: old.last_s,
         is_applied_once: old.is_applied_once,
         proven: None,
+        air: None,
         events: Vec::new(),
         changes: Vec::new(),
         checks: Vec::new(),

@@ -26,7 +26,7 @@ const NOISE_UM: f64 = 1.0;
 /// Returns the standard deviations before the first reading: of the zero in µm, of the share of each constant.
 fn prior(constants: &[Constant]) -> Vec<f64> {
     let share = |it: &Constant| match it {
-        it if it.is_reference() => 0.0,
+        it if it.is_held() => 0.0,
         it if it.key.ends_with("width_um") => BACKLASH_SHARE,
         _ => SHARE,
     };
@@ -40,10 +40,11 @@ fn prior(constants: &[Constant]) -> Vec<f64> {
 pub(crate) fn reconciled(
     memory: Option<Memory>,
     machine: &Machine,
-    quantity: Quantity,
+    (quantity, air): (Quantity, Option<String>),
     notes: &mut Vec<String>,
 ) -> Result<(Memory, bool), String> {
-    let all = constants::constants(machine, quantity);
+    let air = memory.as_ref().and_then(|it| it.air.clone()).or(air);
+    let all = constants::constants(machine, quantity, air.as_deref());
     let zero = constants::zero(machine, quantity).map(|(_, number, _)| number);
     if all.is_empty() {
         return Err(format!(
@@ -51,7 +52,10 @@ pub(crate) fn reconciled(
             quantity.name()
         ));
     }
-    let Some(mut memory) = memory else { return Ok((empty(machine, quantity, all, zero), false)) };
+    let Some(mut memory) = memory else {
+        return Ok((Memory { air, ..empty(machine, quantity, all, zero) }, false));
+    };
+    memory.air = air;
     let owner = Owner::of(machine);
     let is_migrated = memory.machine.name.is_empty();
     if !is_migrated && !memory.machine.is(&owner) {
@@ -100,6 +104,7 @@ fn empty(
         last_s: None,
         is_applied_once: false,
         proven: None,
+        air: None,
         events: Vec::new(),
         changes: Vec::new(),
         checks: Vec::new(),
@@ -130,25 +135,31 @@ fn restart(
                 .into(),
         );
     }
-    let mut from = vec![Some(0)];
+    let (mut from, mut is_news) = (vec![Some(0)], false);
     let is_same = |one: f64, two: f64| (one - two).abs() <= 1e-12 * one.abs().max(two.abs());
     if let (Some(old), Some(new)) = (memory.zero, zero)
         && !is_same(old, new)
     {
         from[0] = None;
+        is_news = true;
         notes.push(format!(
             "The zero was changed by hand ({old} to {new}): it begins anew from there, the constants stay."
         ));
     }
     for (constant, place) in all.iter().zip(&places) {
         let Some(place) = *place else {
-            notes.push(format!("{} is new: it is learned from here on.", constant.key));
+            // What is held is at the file's own value, and so it was.
+            if !constant.is_held() {
+                notes.push(format!("{} is new: it is learned from here on.", constant.key));
+                is_news = true;
+            }
             from.push(None);
             continue;
         };
         let old = memory.constants[place].believed;
         let is_kept = is_same(old, constant.believed);
         if !is_kept {
+            is_news = true;
             notes.push(format!(
                 "{} was changed by hand ({old} to {}): it begins anew from there, the rest stays.",
                 constant.key, constant.believed
@@ -158,6 +169,7 @@ fn restart(
     }
     for (index, old) in memory.constants.iter().enumerate() {
         if !places.contains(&Some(index)) {
+            is_news = true;
             notes.push(format!("{} is no longer in the machine file: it is dropped.", old.key));
         }
     }
@@ -191,5 +203,5 @@ fn restart(
     }
     memory.constants = all;
     memory.zero = zero;
-    Ok(!is_all)
+    Ok(is_news)
 }

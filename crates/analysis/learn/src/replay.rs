@@ -121,8 +121,7 @@ fn seen<'a>(
         })
         .collect();
     let constants = memory.constants.iter().enumerate();
-    let constants =
-        constants.filter(|(_, it)| !it.is_reference()).map(|(index, _)| index).collect();
+    let constants = constants.filter(|(_, it)| !it.is_held()).map(|(index, _)| index).collect();
     let before = Before {
         x: bank.lasting(),
         constants,

@@ -11,6 +11,7 @@ use crate::{
     event::{Action, Event, EventKind, digits},
     memory::Memory,
     replay::Believed,
+    rise::Rise,
 };
 
 /// Readings that are looked back at: twelve days at two a day.
@@ -191,8 +192,16 @@ fn free_with_air(memory: &Memory, own: Option<usize>) -> Vec<(usize, f64, f64)> 
     };
     let zero = memory.zero.map(|_| (0, 0.0, ANYWHERE_UM));
     let constants = memory.constants.iter().enumerate();
+    let constants = constants.filter(|(_, it)| Rise::of(&it.key).is_none());
     let constants = constants.map(|(index, it)| (index + 1, 0.0, deviation(it)));
     zero.into_iter().chain(constants.filter(|it| Some(it.0) != own)).collect()
+}
+
+/// Returns the place among the constants of the rise that a thermometer shows, where there is one.
+fn rise(memory: &Memory, thermometer: usize) -> Option<usize> {
+    let name = memory.thermometers.get(thermometer)?;
+    let is_of = |it: &Constant| Rise::of(&it.key).is_some_and(|it| it.thermometer == name);
+    memory.constants.iter().position(is_of)
 }
 
 /// Returns what an alternative does to the estimate. A constant changes as it was fitted to all readings after the event,
@@ -207,13 +216,22 @@ fn action(memory: &Memory, acting: &Fitted, finding: &Finding) -> Action {
         Alternative::Constant(index) => {
             let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0).max(OTHERS);
             let own = (index + 1, acting.size, deviation);
-            let is_other =
-                |other: &usize| *other != index && !memory.constants[*other].is_reference();
+            let is_other = |other: &usize| *other != index && !memory.constants[*other].is_held();
             let others = (0..memory.constants.len()).filter(is_other);
-            let others = others.map(|other| (other + 1, 0.0, OTHERS));
+            // Where its thermometer may as well have moved, a part of it may be the rise that this shows.
+            let may_be = finding.all.iter().filter(|it| it.gain > acting.gain - DOUBTFUL);
+            let rises = may_be.filter_map(|it| match it.alternative {
+                Alternative::Thermometer(index) => rise(memory, index),
+                _ => None,
+            });
+            let others = others.chain(rises).map(|other| (other + 1, 0.0, OTHERS));
             Action::Shift(std::iter::once(own).chain(others).collect())
         }
-        Alternative::Thermometer(_) => {
+        Alternative::Thermometer(index) => {
+            if let Some(place) = rise(memory, index) {
+                let deviation = (2.0 * acting.error).max(acting.size.abs() / 2.0);
+                return Action::Shift(vec![(place + 1, acting.size, deviation)]);
+            }
             // The constant that stands in best for it, roughly.
             let stands_in = best.and_then(|it| match it.alternative {
                 Alternative::Constant(index) => Some((index + 1, it.size, it.size.abs() / 2.0)),
@@ -239,7 +257,8 @@ mod tests {
     fn freed(laws: &str, quantity: Quantity) -> Vec<String> {
         let text = format!("[machine]\nname = \"m\"\nkind = \"3-axis\"\n{laws}");
         let machine = MachineFile::parse(&text, Path::new("m.toml")).expect("a machine file");
-        let (memory, _) = reconciled(None, &machine, quantity, &mut Vec::new()).expect("a state");
+        let (memory, _) =
+            reconciled(None, &machine, (quantity, None), &mut Vec::new()).expect("a state");
         free_with_air(&memory, Some(1)).iter().map(|it| memory.key(it.0).to_string()).collect()
     }
 

@@ -77,8 +77,8 @@ impl Memory {
         let machine = MachineFile::parse(source, path).ok()?;
         let quantity = constants::named(&self.quantity)?;
         let owner = Owner::of(&machine);
-        let is_same =
-            self.machine.is(&owner) && constants::constants(&machine, quantity) == self.constants;
+        let constants = constants::constants(&machine, quantity, self.air.as_deref());
+        let is_same = self.machine.is(&owner) && constants == self.constants;
         is_same.then(|| written(source, &machine, quantity, self))?
     }
 
@@ -89,7 +89,7 @@ impl Memory {
         let shares = self.constants.iter().zip(&self.applied[1..]);
         let value = |(constant, share): (&Constant, &f64)| {
             let share_own = share / grown_of(self, constant);
-            let is_held = constant.is_reference() && *share == 0.0;
+            let is_held = constant.is_held() && *share == 0.0;
             (!is_held).then_some(constant.believed * (1.0 + share_own))
         };
         shares.map(value).collect()

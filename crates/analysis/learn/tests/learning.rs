@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use trueup_campaigns::year::{Happens, Kind, year};
 use trueup_learn::{EventKind, Learned, Limits, Memory, learn};
 use trueup_machine::{MachineFile, RunFile};
 
@@ -356,4 +357,54 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
     assert!((k(&changed.machine) - 2.6).abs() < 0.1, "{}", changed.machine);
     let tools = |text: &str| text.split("[spindle.tools]").nth(1).map(str::to_string);
     assert_eq!(tools(&changed.machine), tools(&machine));
+}
+
+/// Half a year of an axis whose thermometer shows 70 % of its rise over the air from June on.
+#[test]
+fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {
+    let drawn = year(821, Kind::Axis, Happens { events: true, ..Happens::default() });
+    let (moved, since) = (&drawn.events[1], 30.0 * 86_400.0);
+    assert_eq!(moved.name, "thermometer-moved");
+    let mut memory = None;
+    let mut last: Option<Learned> = None;
+    for day in &drawn.days {
+        let run = RunFile::from_reader(day.csv.as_bytes(), Path::new("r.csv")).expect("a run");
+        if run.column("time_s").expect("a clock")[0] > moved.at_s + since {
+            let learned = last.as_ref().expect("days before");
+            // Six columns of seven: without the air what is over it is not known.
+            let without = day.csv.lines().map(|line| {
+                let cells: Vec<&str> = line.split(',').collect();
+                [&cells[..4], &cells[5..]].concat().join(",") + "\n"
+            });
+            let text: String = without.collect();
+            assert!(!text.contains("temp_air_c"), "{}", text.lines().next().unwrap_or_default());
+            let run = RunFile::from_reader(text.as_bytes(), Path::new("r.csv")).expect("a run");
+            let memory = Some(learned.memory.clone());
+            let path = Path::new("m.toml");
+            let after = learn(&drawn.machine, path, &run, None, memory, &Limits::default());
+            let after = after.expect("it is read");
+            assert!(!after.readings.is_empty() && after.readings.iter().all(|it| !it.used));
+            break;
+        }
+        let path = Path::new("m.toml");
+        let learned = learn(&drawn.machine, path, &run, None, memory, &Limits::default());
+        let learned = learned.expect("it can learn");
+        memory = Some(learned.memory.clone());
+        last = Some(learned);
+    }
+    let learned = last.expect("it has days");
+    let value = |text: &str, key: &str| -> f64 {
+        let line = text.lines().find_map(|line| line.strip_prefix(key)).expect("a key");
+        line.trim_start_matches(" = ").parse().expect("a number")
+    };
+    let term = learned.machine.split("[[term]]").nth(1).expect("a term");
+    assert!(term.contains("minus = \"temp_air_c\""), "{term}");
+    // Of a screw that was changed in spring, 1/0.7 − 1 of what its thermometer shows over the air.
+    let screw = value(&drawn.machine, "slope_um_per_m_per_c") * (1.0 + drawn.events[0].size);
+    let share = value(term, "um_per_unit_per_m") / screw / (1.0 / moved.size - 1.0);
+    println!("{share:.3} of the rise that it does not show");
+    assert!((share - 1.0).abs() < 0.2, "{share}");
+    // Nothing but numbers before the first event.
+    let first = learned.memory.events.first().expect("an event");
+    assert!(first.at < Some(moved.at_s), "{first:?}");
 }

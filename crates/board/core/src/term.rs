@@ -8,6 +8,7 @@
 //! curvature   p + m·(p²/2²⁴)             time      + m·(1 − e^(−t/τ))
 //! saturation  min(p, limit)              speed     + m·n²
 //! position    + gradient·P               load      + m·F
+//! heat slope  + m·(lag_τ(T) − T_ref)·P/2²⁷
 //! reversed    + β·(w + gradient·P)       wave      + a·sin(2π·P/L + φ)
 //!                                        speed heat + m·lag_τ(n) or m·lag_τ(n²), from 0
 //! tool        + m(tool)·f                condition + (m₀ + (m₁ − m₀)·lag_τ(s))·f
@@ -33,7 +34,7 @@ mod tests;
 mod tilt;
 
 pub use category::{Factor, OnOff, ToolTable, UNIT_STEP};
-pub use effect::{Effect, SpeedPower, Target, Term, Terms, heat_terms};
+pub use effect::{Effect, HEAT_SLOPE_BITS, SpeedPower, Target, Term, Terms, heat_terms};
 pub use order::{factor, walked};
 pub use states::TermStates;
 pub use sum::{OperatingPoint, axis_errors, elongation};

@@ -53,8 +53,8 @@
 //! | 15 heat by the speed | `i32` coefficient, `u32` smoothing factor; in the place of a channel the power of the speed, 1 or 2 |
 //! | 16 tool | `i32` level of other tools; a table of `u32` number, `i32` level, 32 at most, rising; `u8` factor, 0, 0, 0 |
 //! | 17 condition | `i32` level off, `i32` level on; `u32` smoothing factor; `u8` factor, `u8` 1 if it counts as on while it is not known, 0, 0 |
-//!
 //! | 18 the volume, at most one, the last | a table of one record of 312 bytes, below |
+//! | 19 slope by heat | as heat |
 //!
 //! A condition's bit stands in the place of the channel. Factors: 0 none, 1 n², 2 the growth, 3 the position.
 //! Firmware that does not know a kind refuses the blob by the number of the kind and its place.

@@ -217,7 +217,7 @@ fn times_s(machine: &Machine, change_s: f64) -> Vec<f64> {
     let of_warmup = spindle.warmup.iter().map(|it| it.warm_s);
     let of_terms = machine.terms.iter().flat_map(|term| term.effect.on_board()).filter_map(
         |form| match form {
-            OnBoard::Heat(heat) => Some(heat.time_constant_s),
+            OnBoard::Heat(heat) | OnBoard::HeatSlope(heat) => Some(heat.time_constant_s),
             OnBoard::SpeedHeat(heat) => Some(heat.time_constant_s),
             OnBoard::Time { time_constant_s, .. } => Some(time_constant_s),
             OnBoard::Thermal(thermal) => Some(thermal.lag_s),

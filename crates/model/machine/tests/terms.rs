@@ -374,6 +374,8 @@ fn one_of_each() -> Vec<(&'static str, String)> {
         (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_SPEED),
         (SENSOR, "elongation", "dependence", dependence::LEVEL_BY_GROWTH),
         (AXIS, "dx", "dependence", dependence::LINE_BY_POSITION),
+        (AXIS, "dx", "dependence", dependence::HEAT_BY_POSITION),
+        (AXIS, "dx", "dependence", dependence::RISE_BY_POSITION),
         (AXIS, "dx", "dependence", dependence::TOOL_BY_POSITION),
         (AXIS, "dx", "dependence", dependence::SWITCH),
         (SENSOR, "elongation", "dependence", dependence::SWITCH_BEHIND_A_LAG),

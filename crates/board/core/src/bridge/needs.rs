@@ -120,6 +120,12 @@ impl RequiredInputs {
                     position(axis);
                 }
                 (Effect::Heat { channel, .. }, _) => needs.temperatures.insert(channel.into()),
+                (Effect::HeatSlope { channel, .. }, target) => {
+                    needs.temperatures.insert(channel.into());
+                    if let Target::Axis(axis) = target {
+                        position(axis);
+                    }
+                }
                 _ => {}
             }
         }
@@ -172,7 +178,11 @@ fn partners(calibration: &Calibration<'_>, channel: usize) -> IndexSet {
         };
         let of_axis = axis.and_then(|axis| axis.thermal.as_ref()).map(|law| law.channel);
         let of_terms = calibration.terms.iter().flatten().filter_map(|term| match term.effect {
-            Effect::Heat { channel, .. } if term.target == target => Some(channel),
+            Effect::Heat { channel, .. } | Effect::HeatSlope { channel, .. }
+                if term.target == target =>
+            {
+                Some(channel)
+            }
             _ => None,
         });
         let mut all = IndexSet::default();

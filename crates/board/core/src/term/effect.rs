@@ -20,6 +20,9 @@ use crate::{
     units::{Fine, MicroDegrees, Position, Rpm, Temperature},
 };
 
+/// Binary places of the position in a slope by heat.
+pub const HEAT_SLOPE_BITS: u32 = 27;
+
 /// The terms of a calibration; those that are there come first.
 pub type Terms<'a> = [Option<Term<'a>>; MAX_TERMS];
 
@@ -56,6 +59,17 @@ pub enum Effect<'a> {
     Saturation(Fine),
     /// + m·(lag(T) − reference).
     Heat {
+        /// The channel of T, 0…7.
+        channel: u8,
+        /// α of the lag of T, per step of 100 ms.
+        smoothing: SmoothingFactor,
+        /// T_ref, in 1/4096 mK.
+        reference: Temperature,
+        /// m, in 1/256 nm per temperature unit.
+        per_temperature: Scaled,
+    },
+    /// + m·(lag(T) − reference)·P/2²⁷, P of the term's own axis: 2²⁷ position units are 1.34 m.
+    HeatSlope {
         /// The channel of T, 0…7.
         channel: u8,
         /// α of the lag of T, per step of 100 ms.
@@ -172,7 +186,10 @@ pub fn heat_terms(terms: &Terms<'_>) -> IndexSet {
     let mut set = IndexSet::default();
     for (index, term) in terms.iter().enumerate() {
         if term.is_some_and(|term| {
-            matches!(term.effect, Effect::Heat { .. } | Effect::SpeedHeat { .. })
+            matches!(
+                term.effect,
+                Effect::Heat { .. } | Effect::HeatSlope { .. } | Effect::SpeedHeat { .. }
+            )
         }) {
             set.insert(index);
         }
@@ -188,6 +205,10 @@ impl Effect<'_> {
         let inside = |part| (part, false);
         match self {
             Self::Heat { .. } | Self::SpeedHeat { .. } | Self::Time { .. } => inside(warmth),
+            Self::HeatSlope { .. } => {
+                let part = fixed::product(warmth.0, of(own).0);
+                inside(Fine::saturating(fixed::rounded_shift(part, HEAT_SLOPE_BITS)))
+            }
             Self::Position { axis, gradient } => inside(gradient.over(Position(0), of(*axis))),
             Self::Reversed { width, gradient } => {
                 inside(backlash(width.plus(gradient.over(Position(0), of(own))), reversal()))

@@ -18,7 +18,9 @@ use crate::{
 /// Returns what each term's lag follows; `None` without one.
 fn keys(terms: &Terms<'_>) -> impl Iterator<Item = Option<Key>> {
     terms.iter().map(|term| match term.as_ref()?.effect {
-        Effect::Heat { channel, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
+        Effect::Heat { channel, smoothing, .. } | Effect::HeatSlope { channel, smoothing, .. }
+            if smoothing != SmoothingFactor::NO_LAG =>
+        {
             Some(Key { input: channel, rising: smoothing, falling: smoothing })
         }
         Effect::SpeedHeat { power, smoothing, .. } if smoothing != SmoothingFactor::NO_LAG => {
@@ -80,7 +82,8 @@ impl TermStates {
             return;
         };
         match term.effect {
-            Effect::Heat { channel, smoothing, reference, per_temperature } => {
+            Effect::Heat { channel, smoothing, reference, per_temperature }
+            | Effect::HeatSlope { channel, smoothing, reference, per_temperature } => {
                 let temperature = temperatures.get(usize::from(channel)).copied().flatten();
                 if let Some(Temperature(now)) = temperature {
                     let lag = lag.get_or_insert(Lag::settled(now));

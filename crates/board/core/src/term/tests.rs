@@ -102,6 +102,29 @@ fn heat_follows_its_lag_and_time_its_own() {
     assert!(states.knows(heated));
 }
 
+/// 3 µm/K at 1.34 m, 4 K above the reference: 12 µm there, −6 µm at −0.67 m, 0 at 0.
+#[test]
+fn a_slope_by_heat_goes_with_the_position() {
+    let heat = Effect::HeatSlope {
+        channel: 1,
+        smoothing: SmoothingFactor::NO_LAG,
+        reference: Temperature(20 * Temperature::PER_KELVIN),
+        per_temperature: scaled(3.0 * 256_000.0 / f64::from(Temperature::PER_KELVIN)),
+    };
+    let terms = with(&[(Target::Axis(LinearAxis::Y), 0, heat)]);
+    let mut states = TermStates::default();
+    let mut temperatures = [None; CHANNELS];
+    temperatures[1] = Some(Temperature(24 * Temperature::PER_KELVIN));
+    states.step(&terms, 0, &temperatures, None, true);
+    for (y, wanted) in [(1 << HEAT_SLOPE_BITS, 12.0), (-(1 << 26), -6.0), (0, 0.0)] {
+        let position = [Position(77), Position(y), Position(-5)];
+        let (errors, _) = axis_errors(&terms, &states, &Place { position, ..Place::default() });
+        let got = errors.map(um);
+        assert!((got[1] - wanted).abs() < 1e-5 && [got[0], got[2]] == [0.0; 2], "{got:?}");
+    }
+    assert!(states.knows(heat_terms(&terms)));
+}
+
 /// Ten hours of speeds from 0 to the largest, against the lag and its product in `f64`.
 #[test]
 fn heat_by_the_speed_starts_cold_and_is_right_over_all_speeds() {
@@ -257,6 +280,12 @@ fn nothing_extreme_panics() {
             Effect::Heat {
                 channel: 0,
                 smoothing: SmoothingFactor(7),
+                reference: Temperature(m),
+                per_temperature: scaled,
+            },
+            Effect::HeatSlope {
+                channel: 0,
+                smoothing: SmoothingFactor(u32::MAX),
                 reference: Temperature(m),
                 per_temperature: scaled,
             },

@@ -205,7 +205,7 @@ fn term() -> BoxedStrategy<Term<'static>> {
     let target =
         prop_oneof![Just(Target::Elongation), select(&LinearAxis::ALL).prop_map(Target::Axis)];
     let scaled = (number(), 0..70_u8).prop_map(|(mantissa, shift)| Scaled { mantissa, shift });
-    let parts = (scaled, numbers::<2>(), channel(), any::<u32>(), select(&LinearAxis::ALL), 0..13);
+    let parts = (scaled, numbers::<2>(), channel(), any::<u32>(), select(&LinearAxis::ALL), 0..14);
     let effect = parts.prop_map(|(m, [a, b], channel, smoothing, axis, kind)| match kind {
         0 => Effect::Offset,
         1 => Effect::Gain(m),
@@ -222,6 +222,12 @@ fn term() -> BoxedStrategy<Term<'static>> {
         7 => Effect::Load(m),
         8 => Effect::Position { axis, gradient: Gradient(a) },
         9 => Effect::Reversed { width: Fine(a), gradient: Gradient(b) },
+        12 => Effect::HeatSlope {
+            channel,
+            smoothing: SmoothingFactor(smoothing),
+            reference: Temperature(a),
+            per_temperature: m,
+        },
         10 | 11 => Effect::SpeedHeat {
             power: if kind == 10 { SpeedPower::First } else { SpeedPower::Second },
             smoothing: SmoothingFactor(smoothing),

@@ -176,6 +176,12 @@ effects! {
     }
     16 Tool { 0 tools: ToolTable<'b> }
     17 Condition { 0 condition: OnOff }
+    19 HeatSlope {
+        per_temperature coefficient: Scaled,
+        smoothing smoothing: SmoothingFactor,
+        reference reference: Temperature,
+        channel channel: u8
+    }
 }
 
 /// A coefficient of a term: its binary places stand in the head.

@@ -220,6 +220,7 @@ fn of_form(machine: &Machine, form: &OnBoard, own_mm: Option<[f64; 2]>) -> Optio
     Some(match form {
         &OnBoard::Offset(um) => um.abs(),
         OnBoard::Heat(heat) => (heat.um_per_c * ROOM_C).abs(),
+        OnBoard::HeatSlope(heat) => of_line(heat.um_per_c * ROOM_C, own_mm?),
         OnBoard::SpeedHeat(it) => it.um_per_unit.abs() * heating(it.power, rated_rpm(machine)?),
         &OnBoard::OwnPosition(um_per_m) => of_line(um_per_m, own_mm?),
         &OnBoard::Position { axis, um_per_m } => of_line(um_per_m, reach_mm(machine, axis)?),

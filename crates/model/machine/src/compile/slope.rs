@@ -112,6 +112,7 @@ fn of_form(form: &OnBoard) -> Slope {
         | OnBoard::Curvature(_)
         | OnBoard::Saturation(_)
         | OnBoard::Heat(_)
+        | OnBoard::HeatSlope(_)
         | OnBoard::SpeedHeat(_)
         | OnBoard::Time { .. }
         | OnBoard::Speed(_)

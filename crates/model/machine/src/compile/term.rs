@@ -16,7 +16,7 @@ use trueup_core::{
     fixed::Scaled,
     gradient::Gradient,
     pitch::Pitch,
-    term::{self, Effect, Target, Term, UNIT_STEP},
+    term::{self, Effect, HEAT_SLOPE_BITS, Target, Term, UNIT_STEP},
     units::{Fine, Position, Temperature},
 };
 
@@ -180,6 +180,7 @@ fn effect(
             fine(*limit_um).map(|(limit, nm)| (Effect::Saturation(limit), nm))
         }
         OnBoard::Heat(it) => heat(channel(machine, key, &it.column)?, it),
+        OnBoard::HeatSlope(it) => heat_slope(channel(machine, key, &it.column)?, it),
         OnBoard::SpeedHeat(it) => speed_heat(it),
         OnBoard::Time { amplitude_um, time_constant_s, .. } => {
             let one = f64::from(UNIT_STEP);
@@ -237,15 +238,32 @@ fn effect(
 }
 
 fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
+    let (per_temperature, reference, nm) = by_heat(it, 1.0)?;
+    let smoothing = lag::smoothing_factor(it.time_constant_s)?;
+    Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
+}
+
+/// Returns a slope by heat. It follows no faster than the thermal law of an axis does, for the same reason.
+fn heat_slope(channel: u8, it: &Heat) -> Made<Effect<'static>> {
+    let most = f64::from(i32::MAX) / FINE_PER_UM / HEAT_SLOPE_M / CHECKED_K;
+    if it.um_per_c.abs() > most {
+        return Err(format!("{} µm/(m·K) is beyond the board's ±{most:.0}", it.um_per_c));
+    }
+    let (per_temperature, reference, nm) = by_heat(it, HEAT_SLOPE_M)?;
+    let smoothing = lag::smoothing_factor(it.time_constant_s.max(FASTEST_AXIS_S))?;
+    Ok((Effect::HeatSlope { channel, smoothing, reference, per_temperature }, nm))
+}
+
+/// Returns coefficient and reference of heat, of which `units` act at once, and the largest difference in nm.
+fn by_heat(it: &Heat, units: f64) -> Result<(Scaled, Temperature, f64), String> {
     let (per_temperature, nm) = scaled(
-        it.um_per_c * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
+        it.um_per_c * units * FINE_PER_UM / f64::from(Temperature::PER_KELVIN),
         CHECKED_K * f64::from(Temperature::PER_KELVIN),
     )?;
     let reference_c = it.reference_c;
     let reference = heat::temperature(reference_c)
         .ok_or_else(|| format!("{reference_c} °C is beyond the board's ±524 °C"))?;
-    let smoothing = lag::smoothing_factor(it.time_constant_s)?;
-    Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
+    Ok((per_temperature, reference, nm))
 }
 
 fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
@@ -257,6 +275,10 @@ fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
     Ok((Effect::SpeedHeat { power, smoothing, per_unit }, nm))
 }
 
+/// The position in m at which a slope by heat is its coefficient.
+const HEAT_SLOPE_M: f64 = (1_u64 << HEAT_SLOPE_BITS) as f64 / UNITS_PER_MM / 1_000.0;
+/// `FASTEST_AXIS` of the board, in s.
+const FASTEST_AXIS_S: f64 = 1.0;
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
 
 /// Returns a length, and its rounding in nm.

@@ -150,6 +150,8 @@ pub enum OnBoard {
     Saturation(f64),
     /// + c·(lag_τ(T) − T_ref).
     Heat(Heat),
+    /// + c·(lag_τ(T) − T_ref)·P/1000, P of the own axis, c in µm/(m·K).
+    HeatSlope(Heat),
     /// + c·lag_τ((n/1000)^power).
     SpeedHeat(SpeedHeat),
     /// + a·(1 − e^(−(t − start)/τ)); 0 before the start.

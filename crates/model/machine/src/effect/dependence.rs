@@ -31,7 +31,6 @@ use crate::{
     location::BadInput,
     tool::TOOL_COLUMN,
 };
-use board::{Levels, levels_of};
 use propose::propose;
 use read::read;
 use times::LOAD;
@@ -230,8 +229,7 @@ impl CauseSpec for Dependence {
     }
 
     fn on_board(&self) -> Vec<OnBoard> {
-        let of_two = self.of_two().into_iter().flatten();
-        self.by_category().into_iter().chain(of_two).collect()
+        self.by_category().into_iter().chain(self.by_heat()).collect()
     }
 
     fn tier(&self) -> u8 {
@@ -469,9 +467,7 @@ impl Definition for Dependence {
     }
 
     fn from_board(_: Option<LinearAxis>, form: &OnBoard, _: &mut f64) -> Option<Self> {
-        let Levels { column, levels, added, otherwise, lag_s, times } = levels_of(form)?;
-        let form = Form::Level { levels, added, otherwise };
-        Some(Self { column, minus: None, lag_s, form, times })
+        Self::of_form(form)
     }
 
     fn propose(survey: &dyn DataView, with: &mut dyn FnMut(Self, StartValues)) {

@@ -222,7 +222,9 @@ impl<'b> BridgeRun<'b> {
         let axes = self.calibration.axes.iter().map(|axis| axis.thermal.map(|it| it.smoothing));
         let spindle = self.calibration.spindle.temperature.map(|it| it.smoothing);
         let terms = self.calibration.terms.iter().map(|term| match term.as_ref()?.effect {
-            term::Effect::Heat { smoothing, .. } => Some(smoothing),
+            term::Effect::Heat { smoothing, .. } | term::Effect::HeatSlope { smoothing, .. } => {
+                Some(smoothing)
+            }
             // It starts cold, not settled.
             term::Effect::SpeedHeat { smoothing: SmoothingFactor::NO_LAG, .. } => {
                 Some(SmoothingFactor::NO_LAG)

@@ -18,6 +18,18 @@ pub const LINE_BY_POSITION: &str = r#"column = "coolant_bar"
 form = "line"
 times = "position"
 um_per_unit_per_m = 0.4"#;
+pub const HEAT_BY_POSITION: &str = r#"column = "temp_b_c"
+form = "line"
+times = "position"
+um_per_unit_per_m = -90.0
+reference = 21.5
+lag_s = 30.0"#;
+pub const RISE_BY_POSITION: &str = r#"column = "temp_a_c"
+form = "line"
+minus = "temp_b_c"
+times = "position"
+um_per_unit_per_m = 100.0
+lag_s = 700.0"#;
 pub const TOOL_BY_POSITION: &str = r#"column = "tool"
 form = "level"
 times = "position"

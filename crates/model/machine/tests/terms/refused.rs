@@ -4,7 +4,7 @@ use std::path::Path;
 
 use trueup_machine::MachineFile;
 
-use super::{AXIS, HEAD, INPUTS, SENSOR, machine, term};
+use super::{AXIS, HEAD, INPUTS, SENSOR, dependence, machine, term};
 
 #[test]
 fn what_fits_no_machine_is_refused_with_its_place() {
@@ -99,4 +99,13 @@ fn more_terms_than_the_board_runs_are_refused_with_the_one_that_is_too_much() {
     let far = machine(&format!("{INPUTS}{SENSOR}"), &far);
     let error = trueup_machine::compile(&far).expect_err("too far").to_string();
     assert!(error.contains("term[0] 100000 µm is beyond the board's ±8388 µm"), "{error}");
+}
+
+#[test]
+fn a_slope_by_heat_beyond_the_boards_range_is_refused() {
+    let keys = dependence::RISE_BY_POSITION.replace("100.0", "120.0");
+    let text = term("dx", &format!("cause = \"dependence\"\n{keys}"));
+    let refused = trueup_machine::compile(&machine(&format!("{INPUTS}{AXIS}"), &text));
+    let said = refused.expect_err("too steep").to_string();
+    assert!(said.contains("120 µm/(m·K) is beyond the board's ±104"), "{said}");
 }

@@ -1,4 +1,4 @@
-//! Terms by tool and by condition in a blob.
+//! Terms by tool and by condition in a blob, and a slope by heat.
 
 use super::*;
 use trueup_core::term::{Factor, OnOff, ToolTable};
@@ -72,16 +72,32 @@ fn as_many_tools_as_the_board_knows_come_back_and_one_more_is_refused() {
     }
 }
 
+#[test]
+fn a_slope_by_heat_comes_back_and_one_of_a_ninth_channel_is_refused() {
+    let slope = Effect::HeatSlope {
+        channel: 6,
+        smoothing: SmoothingFactor(23),
+        reference: Temperature(-22),
+        per_temperature: Scaled { mantissa: -7, shift: 11 },
+    };
+    let blob = blob_of([slope, Effect::Offset]);
+    let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
+    assert_eq!(blob[terms..terms + 4], [19, 0, 6, 11]);
+    let mut bad = blob;
+    bad[terms + 2] = 8;
+    assert!(decode(&mended(bad)).is_err());
+}
+
 /// Firmware without these kinds reads the number as one that stands for nothing, with its place.
 #[test]
 fn a_kind_that_the_firmware_does_not_know_is_refused_by_its_number_and_place() {
     let mut blob = blob_of([Effect::Offset, Effect::Offset]);
     let terms = usize::from(u16::from_le_bytes([blob[572], blob[573]]));
-    blob[terms + 24] = 19;
-    let refused = BlobError::Value { offset: terms + 24, found: 19 };
+    blob[terms + 24] = 20;
+    let refused = BlobError::Value { offset: terms + 24, found: 20 };
     assert_eq!(decode(&mended(blob)), Err(refused));
     assert_eq!(
         std::string::ToString::to_string(&refused),
-        std::format!("19 at {} has no meaning", terms + 24)
+        std::format!("20 at {} has no meaning", terms + 24)
     );
 }

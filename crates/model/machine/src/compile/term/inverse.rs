@@ -10,7 +10,7 @@ use trueup_core::{
     term::{Effect, Target, Term, Tilt, UNIT_STEP},
 };
 
-use super::{LEVER_M, PARTS_OF_N, TWO_24, category, scaled};
+use super::{HEAT_SLOPE_M, LEVER_M, PARTS_OF_N, TWO_24, category, scaled};
 use crate::{
     compile::{curve, inputs::column, lag, pitch, squareness::linear_inverse},
     effect::{self, Angle, CoolingAsymmetry, Heat, OnBoard, Quantity, SpeedHeat, heating},
@@ -67,6 +67,14 @@ fn term(term: &Term<'_>) -> Option<file::Term> {
             time_constant_s: lag::written_time_constant_s(*smoothing),
             reference_c: written(reference.0, PER_KELVIN),
         }),
+        Effect::HeatSlope { channel, smoothing, reference, per_temperature } => {
+            OnBoard::HeatSlope(Heat {
+                column: column(*channel),
+                um_per_c: number(*per_temperature, HEAT_SLOPE_M * FINE_PER_UM / PER_KELVIN),
+                time_constant_s: lag::written_time_constant_s(*smoothing),
+                reference_c: written(reference.0, PER_KELVIN),
+            })
+        }
         Effect::SpeedHeat { power, smoothing, per_unit } => OnBoard::SpeedHeat(SpeedHeat {
             power: *power,
             um_per_unit: number(*per_unit, FINE_PER_UM * heating(*power, 1.0) / power.units()),

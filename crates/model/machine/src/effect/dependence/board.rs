@@ -6,6 +6,7 @@ use trueup_core::dimensions::MAX_TOOLS;
 use super::{Dependence, Form, values::SWITCH};
 use crate::{
     effect::cause_spec::{Heat, OnBoard, Times},
+    file::read::is_temperature_column,
     tool::TOOL_COLUMN,
 };
 
@@ -24,21 +25,52 @@ impl Dependence {
         by_category(&self.column, &self.times, levels, of, [*otherwise, self.lag_s])
     }
 
-    /// Returns its heat by two thermometers, where it is their difference.
-    pub(super) fn of_two(&self) -> Option<[OnBoard; 2]> {
+    /// Returns its heat: of two thermometers where it is their difference, of one or two where it goes with the position.
+    pub(super) fn by_heat(&self) -> Vec<OnBoard> {
         /// The reference of the second thermometer, in °C; any would do.
         const REFERENCE_C: f64 = 20.0;
-        let (Form::Line { slope, reference }, Some(minus), Times::One) =
-            (&self.form, &self.minus, &self.times)
-        else {
-            return None;
-        };
+        let Form::Line { slope, reference } = self.form else { return Vec::new() };
         let of = |column: &String, um_per_c: f64, reference_c: f64| {
-            let column = column.clone();
-            OnBoard::Heat(Heat { column, um_per_c, time_constant_s: self.lag_s, reference_c })
+            let (column, time_constant_s) = (column.clone(), self.lag_s);
+            let heat = Heat { column, um_per_c, time_constant_s, reference_c };
+            if self.times == Times::Position {
+                OnBoard::HeatSlope(heat)
+            } else {
+                OnBoard::Heat(heat)
+            }
         };
-        let first = of(&self.column, *slope, REFERENCE_C + reference);
-        Some([first, of(minus, -slope, REFERENCE_C)])
+        match (&self.minus, &self.times) {
+            (Some(minus), Times::One | Times::Position) => {
+                let first = of(&self.column, slope, REFERENCE_C + reference);
+                vec![first, of(minus, -slope, REFERENCE_C)]
+            }
+            (None, Times::Position) if is_temperature_column(&self.column) => {
+                vec![of(&self.column, slope, reference)]
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// Returns the dependence that a form of the board stands for, if it is one.
+    pub(super) fn of_form(form: &OnBoard) -> Option<Self> {
+        Some(match form.clone() {
+            OnBoard::Tool { tools, other, times } => {
+                let (levels, added) = tools.into_iter().map(|(n, a)| (f64::from(n), a)).unzip();
+                let form = Form::Level { levels, added, otherwise: other };
+                Self { form, times, ..Self::of(TOOL_COLUMN) }
+            }
+            OnBoard::Condition { column, off, on, lag_s, times } => {
+                let (levels, added) = (SWITCH.to_vec(), vec![off, on]);
+                let form = Form::Level { levels, added, otherwise: 0.0 };
+                Self { form, times, lag_s, ..Self::of(&column) }
+            }
+            OnBoard::HeatSlope(heat) => {
+                let form = Form::Line { slope: heat.um_per_c, reference: heat.reference_c };
+                let (times, lag_s) = (Times::Position, heat.time_constant_s);
+                Self { form, times, lag_s, ..Self::of(&heat.column) }
+            }
+            _ => return None,
+        })
     }
 }
 
@@ -68,31 +100,5 @@ fn by_category(
         on: of(1.0).1,
         lag_s,
         times,
-    })
-}
-
-/// Levels as the board has them.
-pub(super) struct Levels {
-    pub(super) column: String,
-    pub(super) levels: Vec<f64>,
-    pub(super) added: Vec<f64>,
-    pub(super) otherwise: f64,
-    pub(super) lag_s: f64,
-    pub(super) times: Times,
-}
-
-/// Returns the levels of a board's form, if it has some.
-pub(super) fn levels_of(form: &OnBoard) -> Option<Levels> {
-    Some(match form.clone() {
-        OnBoard::Tool { tools, other, times } => {
-            let (levels, added) = tools.into_iter().map(|(n, a)| (f64::from(n), a)).unzip();
-            let column = TOOL_COLUMN.into();
-            Levels { column, levels, added, otherwise: other, lag_s: 0.0, times }
-        }
-        OnBoard::Condition { column, off, on, lag_s, times } => {
-            let (levels, added) = (SWITCH.to_vec(), vec![off, on]);
-            Levels { column, levels, added, otherwise: 0.0, lag_s, times }
-        }
-        _ => return None,
     })
 }
