@@ -10,8 +10,6 @@
 //!
 //! The last line is exact for least squares: leaving out each row in turn costs no second fit.
 
-use std::{error::Error, fmt};
-
 /// A fitted line. Its units are those of the data: `gain` is y for one x.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LineFit {
@@ -34,9 +32,10 @@ impl LineFit {
 }
 
 /// Why no line can be fitted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FitError {
     /// x and y have different numbers of rows.
+    #[error("{x_rows} rows of x but {y_rows} of y")]
     LengthsDiffer {
         /// Rows of x.
         x_rows: usize,
@@ -44,43 +43,27 @@ pub enum FitError {
         y_rows: usize,
     },
     /// Fewer than 3 rows have both values: nothing is left to judge the line by.
+    #[error("a line needs 3 rows that have both values, there are {rows}")]
     TooFewRows {
         /// Rows that have both.
         rows: usize,
     },
     /// A value is infinite.
+    #[error("row {} holds an infinite value", .row + 1)]
     Infinite {
         /// Its row, from 0.
         row: usize,
     },
     /// x is the same in every row.
+    #[error("a line needs two different x, all are equal")]
     NoSpread,
     /// Without this row x would be the same in every row: it alone decides the slope.
+    #[error("row {} alone decides the slope: all other x are equal", .row + 1)]
     OneRowDecides {
         /// The row, from 0.
         row: usize,
     },
 }
-
-impl fmt::Display for FitError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::LengthsDiffer { x_rows, y_rows } => {
-                write!(f, "{x_rows} rows of x but {y_rows} of y")
-            }
-            Self::TooFewRows { rows } => {
-                write!(f, "a line needs 3 rows that have both values, there are {rows}")
-            }
-            Self::Infinite { row } => write!(f, "row {} holds an infinite value", row + 1),
-            Self::NoSpread => write!(f, "a line needs two different x, all are equal"),
-            Self::OneRowDecides { row } => {
-                write!(f, "row {} alone decides the slope: all other x are equal", row + 1)
-            }
-        }
-    }
-}
-
-impl Error for FitError {}
 
 /// Returns the line of least squares through (`x`, `y`); rows in which either is missing (NaN) take no
 /// part.

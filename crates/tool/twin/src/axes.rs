@@ -18,7 +18,10 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{broken::Rule, cubic_spline::CubicSpline};
+use crate::{
+    broken::{Rule, keys},
+    cubic_spline::CubicSpline,
+};
 
 /// The axes' names, by number.
 pub const NAMES: [&str; 3] = ["x", "y", "z"];
@@ -134,12 +137,7 @@ impl AxisConfig {
             let rule = "takes a backlash_um of at least 0, the same everywhere".to_string();
             return Err(Rule::new("gap", rule));
         }
-        Rule::none_negative(&[
-            ("screw_heating_c", self.screw_heating_c),
-            ("screw_lag_s", self.screw_lag_s),
-            ("scale_lag_s", self.scale_lag_s),
-            ("pre_sliding_mm", self.pre_sliding_mm),
-        ])
+        Rule::none_negative(&keys!(self: screw_heating_c, screw_lag_s, scale_lag_s, pre_sliding_mm))
     }
 }
 

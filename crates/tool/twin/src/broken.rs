@@ -3,7 +3,7 @@
 //! A value of the wrong type has its place from the TOML reader; a value out of its range is found
 //! later, by its key, which is then looked up in the text.
 
-use std::{fmt, path::PathBuf};
+use std::path::PathBuf;
 
 use toml::{
     Spanned,
@@ -11,7 +11,8 @@ use toml::{
 };
 
 /// An error in a scenario.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}:{line}:{column}: {rule}", .file.display())]
 pub struct BadScenario {
     /// The file as the user named it.
     pub file: PathBuf,
@@ -23,13 +24,12 @@ pub struct BadScenario {
     pub rule: String,
 }
 
-impl fmt::Display for BadScenario {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}:{}: {}", self.file.display(), self.line, self.column, self.rule)
-    }
+/// The values of these keys, each next to the name of its field, which is that of the key.
+macro_rules! keys {
+    ($of:ident: $($key:ident),* $(,)?) => { [$((stringify!($key), $of.$key)),*] };
 }
 
-impl std::error::Error for BadScenario {}
+pub(crate) use keys;
 
 /// A rule that is broken by a key of a section.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,10 +56,15 @@ impl Rule {
 
     /// `value` is a share.
     pub(crate) fn share(key: &str, value: f64) -> Result<(), Self> {
-        if (0.0..=1.0).contains(&value) {
-            return Ok(());
+        Self::shares(&[(key, value)])
+    }
+
+    /// These are shares.
+    pub(crate) fn shares(values: &[(&str, f64)]) -> Result<(), Self> {
+        match values.iter().find(|(_, value)| !(0.0..=1.0).contains(value)) {
+            Some((key, value)) => Err(Self::new(key, format!("must be from 0 to 1, not {value}"))),
+            None => Ok(()),
         }
-        Err(Self::new(key, format!("must be from 0 to 1, not {value}")))
     }
 
     /// Returns the same rule, its key in `section`.

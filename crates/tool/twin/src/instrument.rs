@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::Rule,
+    broken::{Rule, keys},
     noise::{Correlated, Stream},
     sensors::memory,
 };
@@ -74,17 +74,10 @@ impl InstrumentConfig {
         if self.period_um <= 0.0 {
             return Err(Rule::new("period_um", format!("must be above 0, not {}", self.period_um)));
         }
-        Rule::share("dropout", self.dropout)?;
-        Rule::share("outliers", self.outliers)?;
-        Rule::none_negative(&[
-            ("quantum_um", self.quantum_um),
-            ("noise_um", self.noise_um),
-            ("correlated_um", self.correlated_um),
-            ("correlated_s", self.correlated_s),
-            ("jumps_per_h", self.jumps_per_h),
-            ("jump_um", self.jump_um),
-            ("outlier_um", self.outlier_um),
-        ])
+        Rule::shares(&keys!(self: dropout, outliers))?;
+        Rule::none_negative(
+            &keys!(self: quantum_um, noise_um, correlated_um, correlated_s, jumps_per_h, jump_um, outlier_um),
+        )
     }
 }
 

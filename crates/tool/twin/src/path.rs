@@ -14,7 +14,11 @@
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use crate::{axes::AxisName, broken::Rule, noise::Stream};
+use crate::{
+    axes::AxisName,
+    broken::{Rule, keys},
+    noise::Stream,
+};
 
 /// The kind of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -90,19 +94,24 @@ impl Segment {
     /// The first rule that is broken.
     pub(crate) fn check(&self) -> Result<(), Rule> {
         use Kind::{Move, Positions, Spindle};
-        let keys: [(&str, bool, bool, &[Kind]); 10] = [
-            // Key, whether it is there, whether its kinds need it, its kinds.
-            ("duration_s", self.duration_s.is_some(), true, &[Spindle]),
-            ("to_mm", self.to_mm.is_some(), true, &[Move]),
-            ("feed_mm_per_min", self.feed_mm_per_min.is_some(), true, &[Move, Positions]),
-            ("axis", self.axis.is_some(), true, &[Positions]),
-            ("range_mm", self.range_mm.is_some(), true, &[Positions]),
-            ("targets", self.targets.is_some(), true, &[Positions]),
-            ("cycles", self.cycles.is_some(), false, &[Move, Positions]),
-            ("dwell_s", self.dwell_s.is_some(), false, &[Positions]),
-            ("overshoot_mm", self.overshoot_mm.is_some(), false, &[Positions]),
-            ("spread_mm", self.spread_mm.is_some(), false, &[Positions]),
-        ];
+        // A key, whether it is there, whether its kinds need it, its kinds.
+        macro_rules! of_kinds {
+            ($($key:ident $is_needed:literal $kinds:expr;)*) => {
+                [$((stringify!($key), self.$key.is_some(), $is_needed, $kinds)),*]
+            };
+        }
+        let keys: [(&str, bool, bool, &[Kind]); 10] = of_kinds! {
+            duration_s true &[Spindle];
+            to_mm true &[Move];
+            feed_mm_per_min true &[Move, Positions];
+            axis true &[Positions];
+            range_mm true &[Positions];
+            targets true &[Positions];
+            cycles false &[Move, Positions];
+            dwell_s false &[Positions];
+            overshoot_mm false &[Positions];
+            spread_mm false &[Positions];
+        };
         for (key, is_there, is_needed, kinds) in keys {
             let belongs = kinds.contains(&self.kind);
             if is_there && !belongs {
@@ -112,18 +121,12 @@ impl Segment {
                 return Err(Rule::new(key, format!("is missing in kind {:?}", self.kind)));
             }
         }
-        for (key, value) in
-            [("duration_s", self.duration_s), ("feed_mm_per_min", self.feed_mm_per_min)]
-        {
+        for (key, value) in keys!(self: duration_s, feed_mm_per_min) {
             if let Some(value) = value.filter(|value| *value <= 0.0) {
                 return Err(Rule::new(key, format!("must be above 0, not {value}")));
             }
         }
-        for (key, value) in [
-            ("dwell_s", self.dwell_s),
-            ("overshoot_mm", self.overshoot_mm),
-            ("spread_mm", self.spread_mm),
-        ] {
+        for (key, value) in keys!(self: dwell_s, overshoot_mm, spread_mm) {
             Rule::none_negative(&[(key, value.unwrap_or(0.0))])?;
         }
         if let Some([first, last]) = self.range_mm.filter(|[first, last]| last <= first) {

@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::Rule,
+    broken::{Rule, keys},
     noise::{Correlated, Stream},
 };
 
@@ -82,16 +82,10 @@ impl DisplacementConfig {
         if self.um_per_count == 0.0 {
             return Err(Rule::new("um_per_count", "must not be 0".into()));
         }
-        Rule::share("dropout", self.dropout)?;
-        Rule::none_negative(&[
-            ("full_scale_counts", self.full_scale_counts),
-            ("delay_s", self.delay_s),
-            ("lag_s", self.lag_s),
-            ("runout_um", self.runout_um),
-            ("noise_um", self.noise_um),
-            ("correlated_um", self.correlated_um),
-            ("correlated_s", self.correlated_s),
-        ])
+        Rule::shares(&keys!(self: dropout))?;
+        Rule::none_negative(
+            &keys!(self: full_scale_counts, delay_s, lag_s, runout_um, noise_um, correlated_um, correlated_s),
+        )
     }
 }
 
@@ -264,12 +258,8 @@ fn sixteenth() -> f64 {
 impl ThermometerConfig {
     /// The first rule that is broken.
     pub(crate) fn check(&self) -> Result<(), Rule> {
-        Rule::share("dropout", self.dropout)?;
-        Rule::none_negative(&[
-            ("lag_s", self.lag_s),
-            ("noise_c", self.noise_c),
-            ("quantum_c", self.quantum_c),
-        ])
+        Rule::shares(&keys!(self: dropout))?;
+        Rule::none_negative(&keys!(self: lag_s, noise_c, quantum_c))
     }
 }
 

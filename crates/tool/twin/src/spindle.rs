@@ -21,7 +21,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use crate::{
-    broken::Rule,
+    broken::{Rule, keys},
     heat::{Account, End, Material, Rod},
 };
 
@@ -157,36 +157,17 @@ impl SpindleConfig {
 
     /// The first rule that is broken.
     pub(crate) fn check(&self) -> Result<(), Rule> {
-        for (key, value) in [
-            ("length_m", self.length_m),
-            ("diameter_mm", self.diameter_mm),
-            ("bearing_diameter_mm", self.bearing_diameter_mm),
-            ("max_rpm", self.max_rpm),
-            ("housing_j_per_k", self.housing_j_per_k),
-        ] {
+        for (key, value) in
+            keys!(self: length_m, diameter_mm, bearing_diameter_mm, max_rpm, housing_j_per_k)
+        {
             if value <= 0.0 {
                 return Err(Rule::new(key, format!("must be above 0, not {value}")));
             }
         }
-        Rule::none_negative(&[
-            ("viscosity_mm2_per_s", self.viscosity_mm2_per_s),
-            ("viscous_factor", self.viscous_factor),
-            ("load_factor", self.load_factor),
-            ("preload_n", self.preload_n),
-            ("idle_loss_w", self.idle_loss_w),
-            ("loss_w_per_n", self.loss_w_per_n),
-            ("still_h_w_per_m2_k", self.still_h_w_per_m2_k),
-            ("speed_h_w_per_m2_k", self.speed_h_w_per_m2_k),
-            ("coolant_w_per_k", self.coolant_w_per_k),
-            ("housing_air_w_per_k", self.housing_air_w_per_k),
-            ("housing_coolant_w_per_k", self.housing_coolant_w_per_k),
-            ("holder_lag_s", self.holder_lag_s),
-            ("coil_lag_s", self.coil_lag_s),
-            ("stiffness_n_per_um", self.stiffness_n_per_um),
-        ])?;
-        Rule::share("shaft_share", self.shaft_share)?;
-        Rule::share("holder_air_share", self.holder_air_share)?;
-        Rule::share("coil_air_share", self.coil_air_share)?;
+        Rule::none_negative(
+            &keys!(self: viscosity_mm2_per_s, viscous_factor, load_factor, preload_n, idle_loss_w, loss_w_per_n, still_h_w_per_m2_k, speed_h_w_per_m2_k, coolant_w_per_k, housing_air_w_per_k, housing_coolant_w_per_k, holder_lag_s, coil_lag_s, stiffness_n_per_um),
+        )?;
+        Rule::shares(&keys!(self: shaft_share, holder_air_share, coil_air_share))?;
         let on_shaft = 0.0..=self.length_m;
         for (key, value) in [
             ("front_bearing_m", self.front_bearing_m),

@@ -9,8 +9,6 @@
 //! The part of y left after the last column is orthogonal to all columns: its square adds to the
 //! residual sum of squares. Then R·c = z.
 
-use std::{error::Error, fmt};
-
 use crate::t_quantile;
 
 /// Below this share of a column's length, what the columns before leave of it is rounding.
@@ -31,19 +29,12 @@ pub struct GivensQr {
 }
 
 /// A column is a combination of those before it, or 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("column {} follows from the columns before it", .column + 1)]
 pub struct Dependent {
     /// The column, from 0.
     pub column: usize,
 }
-
-impl fmt::Display for Dependent {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "column {} follows from the columns before it", self.column + 1)
-    }
-}
-
-impl Error for Dependent {}
 
 impl GivensQr {
     /// No row yet, of this many columns.

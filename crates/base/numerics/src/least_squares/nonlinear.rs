@@ -8,7 +8,7 @@
 //! Proved on the NIST sets of certified nonlinear regression, each from its hard start, to at least
 //! 6 digits in every parameter (`tests/nist.rs` prints them).
 
-use std::{cell::RefCell, error::Error, fmt, rc::Rc};
+use std::{cell::RefCell, rc::Rc};
 
 use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt, TerminationReason};
 use nalgebra::{DMatrix, DVector, Dyn, storage::Owned};
@@ -86,9 +86,10 @@ impl Default for Options {
 }
 
 /// Why there is no fit.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SolveError {
     /// Fewer rows than parameters.
+    #[error("{rows} rows cannot decide {parameters} parameters")]
     TooFewRows {
         /// Rows with a measured value.
         rows: usize,
@@ -96,27 +97,15 @@ pub enum SolveError {
         parameters: usize,
     },
     /// The model has no value, or an infinite one, at the start.
+    #[error("the model has no value at the start")]
     BadStart,
     /// No start led to a minimum.
+    #[error("no minimum was found: {reason}")]
     NotConverged {
         /// The reason why the last of them ended.
         reason: String,
     },
 }
-
-impl fmt::Display for SolveError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::TooFewRows { rows, parameters } => {
-                write!(f, "{rows} rows cannot decide {parameters} parameters")
-            }
-            Self::BadStart => write!(f, "the model has no value at the start"),
-            Self::NotConverged { reason } => write!(f, "no minimum was found: {reason}"),
-        }
-    }
-}
-
-impl Error for SolveError {}
 
 /// The result of a fit.
 #[derive(Clone, Debug)]
