@@ -20,7 +20,7 @@
 //! The standard's B is forward minus reverse. The `width_um` of a machine file is the error of the
 //! approach in the negative direction, so it is −B̄.
 
-use std::{error::Error, fmt};
+use std::fmt;
 
 /// The readings at one target: positioning deviations in µm, actual minus target.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -114,39 +114,26 @@ pub struct Bidirectional {
 }
 
 /// Why there are no figures.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Iso230Error {
     /// No target has an arrival.
+    #[error("no target was measured")]
     Empty,
     /// One arrival in one direction has no standard deviation.
+    #[error(
+        "the target at {position_mm} mm was measured once in a direction, and repeatability needs at least two"
+    )]
     OneArrival {
         /// The target, in mm.
         position_mm: f64,
     },
     /// A deviation or a position is NaN or infinite.
+    #[error("a deviation at the target {position_mm} mm is not a finite number")]
     NotFinite {
         /// The target, in mm.
         position_mm: f64,
     },
 }
-
-impl fmt::Display for Iso230Error {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Empty => write!(f, "no target was measured"),
-            Self::OneArrival { position_mm } => write!(
-                f,
-                "the target at {position_mm} mm was measured once in a direction, and repeatability \
-                 needs at least two"
-            ),
-            Self::NotFinite { position_mm } => {
-                write!(f, "a deviation at the target {position_mm} mm is not a finite number")
-            }
-        }
-    }
-}
-
-impl Error for Iso230Error {}
 
 impl Iso230 {
     /// Returns the figures of an axis measured at `targets`.

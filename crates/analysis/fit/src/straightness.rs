@@ -46,7 +46,7 @@ mod run;
 mod sites;
 pub mod table1;
 
-use std::{error::Error, fmt};
+use std::fmt;
 
 use trueup_machine::file::BSpline;
 
@@ -202,9 +202,10 @@ pub struct Fit {
 }
 
 /// Why there is no fit.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// There are not as many errors as positions.
+    #[error("there are {positions} positions but {errors} errors")]
     LengthsDiffer {
         /// Number of positions.
         positions: usize,
@@ -212,6 +213,7 @@ pub enum FitError {
         errors: usize,
     },
     /// A value is NaN or infinite.
+    #[error("the {} in row {row} is {value}", if *.is_position { "position" } else { "error" })]
     NotFinite {
         /// Its row, from 0.
         row: usize,
@@ -221,46 +223,24 @@ pub enum FitError {
         value: f64,
     },
     /// Fewer than 4 different positions: no curve, and no judging it.
+    #[error("has readings at {positions} different positions: a curve needs at least 4")]
     TooFewPositions {
         /// Different positions that are there.
         positions: usize,
     },
     /// All readings stand at one position.
+    #[error("is {position_mm} in every row: a curve needs at least 4 different positions")]
     OnePosition {
         /// Where, in mm.
         position_mm: f64,
     },
     /// The tolerance is not above 0.
+    #[error("the tolerance must be above 0 µm, not {um}")]
     Tolerance {
         /// The tolerance, in µm.
         um: f64,
     },
 }
-
-impl fmt::Display for FitError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::LengthsDiffer { positions, errors } => {
-                write!(f, "there are {positions} positions but {errors} errors")
-            }
-            Self::NotFinite { row, is_position, value } => {
-                let what = if *is_position { "position" } else { "error" };
-                write!(f, "the {what} in row {row} is {value}")
-            }
-            Self::TooFewPositions { positions } => write!(
-                f,
-                "has readings at {positions} different positions: a curve needs at least 4"
-            ),
-            Self::OnePosition { position_mm } => write!(
-                f,
-                "is {position_mm} in every row: a curve needs at least 4 different positions"
-            ),
-            Self::Tolerance { um } => write!(f, "the tolerance must be above 0 µm, not {um}"),
-        }
-    }
-}
-
-impl Error for FitError {}
 
 /// Returns the curve through readings of `error_um` at positions `along_mm`, in any order; readings at
 /// equal positions are repeats.

@@ -167,16 +167,9 @@ enum Outcome {
 }
 
 /// An error that the user has to mend and that has no line and column, as `BadInput` has: of a blob, a folder.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
 struct UserError(String);
-
-impl std::fmt::Display for UserError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UserError {}
 
 fn main() -> ExitCode {
     let cli = match Cli::read(env::args_os()) {

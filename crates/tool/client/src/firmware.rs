@@ -91,26 +91,17 @@ const fn remedy(reason: Refusal) -> &'static str {
 }
 
 /// An update that has ended before all of it was on the board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "interrupted near byte {received} of {length}: the board keeps what has come, and runs on as before. The same command \
+     goes on there; after a restart of the board it begins anew"
+)]
 pub struct Interrupted {
     /// Bytes that the board has acknowledged, the header included; a block of them more or less.
     pub received: u32,
     /// Bytes of the whole.
     pub length: u32,
 }
-
-impl fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { received, length } = self;
-        write!(
-            f,
-            "interrupted near byte {received} of {length}: the board keeps what has come, and runs on as before. The same \
-             command goes on there; after a restart of the board it begins anew"
-        )
-    }
-}
-
-impl Error for Interrupted {}
 
 /// The way of an update that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -71,14 +71,24 @@ pub enum StartChoice {
 }
 
 /// Why a board must not get a file, found before anything is erased.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unsuitable {
     /// The file has no part for the slot that is to be written.
+    #[error(
+        "the board runs from slot {}, so slot {} is to be written, and the file has no part for it. Take the file with both \
+         parts",
+        .running.name(),
+        .running.other().name()
+    )]
     NoPart {
         /// The slot that runs, and stays.
         running: Slot,
     },
     /// It would never start.
+    #[error(
+        "the file has version {file}, which is not newer than {running}, which runs: it would never start. Take a newer \
+         file; the probe or the ROM loader writes any version"
+    )]
     NotNewer {
         /// The version of the file.
         file: Version,
@@ -86,6 +96,9 @@ pub enum Unsuitable {
         running: Version,
     },
     /// It must not start.
+    #[error(
+        "the file has version {file}, which is older than {floor}, the oldest that may start. Take a newer file"
+    )]
     BelowFloor {
         /// The version of the file.
         file: Version,
@@ -93,6 +106,10 @@ pub enum Unsuitable {
         floor: Version,
     },
     /// The firmware that runs is on trial, and the other slot holds the one to go back to.
+    #[error(
+        "the firmware that runs is on trial, and the other slot holds the one to go back to. Engage, let it give offsets for \
+         a minute, then update"
+    )]
     OnTrial,
 }
 
@@ -189,35 +206,6 @@ impl fmt::Display for StartChoice {
         f.write_str(words)
     }
 }
-
-impl fmt::Display for Unsuitable {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::NoPart { running } => write!(
-                f,
-                "the board runs from slot {}, so slot {} is to be written, and the file has no part for it. Take the \
-                 file with both parts",
-                running.name(),
-                running.other().name()
-            ),
-            Self::NotNewer { file, running } => write!(
-                f,
-                "the file has version {file}, which is not newer than {running}, which runs: it would never start. Take \
-                 a newer file; the probe or the ROM loader writes any version"
-            ),
-            Self::BelowFloor { file, floor } => write!(
-                f,
-                "the file has version {file}, which is older than {floor}, the oldest that may start. Take a newer file"
-            ),
-            Self::OnTrial => f.write_str(
-                "the firmware that runs is on trial, and the other slot holds the one to go back to. Engage, let it give \
-                 offsets for a minute, then update",
-            ),
-        }
-    }
-}
-
-impl std::error::Error for Unsuitable {}
 
 impl SlotsState {
     /// Asks a board for its slots; `None`: it has none.

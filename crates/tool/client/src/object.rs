@@ -1,8 +1,7 @@
 //! Objects of the bridge, read and written by SDO over an open session.
 
 use std::{
-    error::Error,
-    fmt, iter,
+    iter,
     time::{Duration, Instant},
 };
 
@@ -118,33 +117,14 @@ pub const FIRMWARE_FLOOR: At = (0x2121, 6);
 pub const SLOT_CHOICE: At = (0x2121, 7);
 
 /// No answer has come, and for how long it was waited for.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("object {:04X}:{}: no answer in {:.0} s", .0.0, .0.1, .1.as_secs_f64())]
 struct NoAnswer(At, Duration);
 
-impl fmt::Display for NoAnswer {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self((index, subindex), listened) = self;
-        write!(f, "object {index:04X}:{subindex}: no answer in {:.0} s", listened.as_secs_f64())
-    }
-}
-
-impl Error for NoAnswer {}
-
 /// An object comes more slowly than any bridge sends; after this many bytes.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("object {:04X}:{}: {} bytes have come, too slowly; is it a bridge?", .0.0, .0.1, .1)]
 struct TooSlow(At, u32);
-
-impl fmt::Display for TooSlow {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self((index, subindex), bytes) = self;
-        write!(
-            f,
-            "object {index:04X}:{subindex}: {bytes} bytes have come, too slowly; is it a bridge?"
-        )
-    }
-}
-
-impl Error for TooSlow {}
 
 /// The most bytes of a text: names and versions have at most 64.
 const MAX_TEXT: u32 = 256;

@@ -93,31 +93,20 @@ pub struct Submitted {
 }
 
 /// Why a stored job cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Damage {
     /// A file is missing or cannot be read.
+    #[error("{0} cannot be read: {1}")]
     Unreadable(String, String),
     /// `job.json` is not of this form.
+    #[error("job.json is damaged: {0}; submit the job again")]
     Form(String),
     /// A file differs from what was submitted.
+    #[error(
+        "{0} differs from what was submitted (its checksum is wrong): remove the folder of the job, and submit it again"
+    )]
     Checksum(String),
 }
-
-impl fmt::Display for Damage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Unreadable(file, why) => write!(f, "{file} cannot be read: {why}"),
-            Self::Form(why) => write!(f, "job.json is damaged: {why}; submit the job again"),
-            Self::Checksum(file) => write!(
-                f,
-                "{file} differs from what was submitted (its checksum is wrong): remove the folder of the job, and \
-                 submit it again"
-            ),
-        }
-    }
-}
-
-impl std::error::Error for Damage {}
 
 impl Submission {
     /// Returns the files in their order: the name that each has in the folder, and its content.

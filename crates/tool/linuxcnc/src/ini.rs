@@ -182,22 +182,14 @@ fn find<'a>(text: &'a str, section: &str, key: &str) -> Option<((usize, usize), 
 }
 
 /// A value that cannot be used.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}:{}: {rule}", .place.0, .place.1)]
 pub struct BadIni {
     /// Its line and column, from 1.
     pub place: (usize, usize),
     /// The fault.
     pub rule: String,
 }
-
-impl std::fmt::Display for BadIni {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let (line, column) = self.place;
-        write!(f, "{line}:{column}: {}", self.rule)
-    }
-}
-
-impl std::error::Error for BadIni {}
 
 #[cfg(test)]
 mod tests {

@@ -20,16 +20,9 @@ use crate::UserError;
 static IS_INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// The user has ended it.
-#[derive(Debug)]
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
 pub struct Interrupted;
-
-impl std::fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("interrupted")
-    }
-}
-
-impl std::error::Error for Interrupted {}
 
 /// Ctrl-C ends a step where nothing is lost, and not the program.
 pub fn catch_interrupts() -> Result<()> {
