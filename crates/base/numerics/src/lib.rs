@@ -26,4 +26,4 @@ pub mod repeats;
 pub mod robust;
 mod student;
 
-pub use student::{t_probability, t_quantile};
+pub use student::{f_quantile, t_probability, t_quantile};

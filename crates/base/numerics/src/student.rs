@@ -1,6 +1,7 @@
-//! Student's distribution, for intervals and for the limit beyond which a row is an outlier.
+//! Student's distribution, for intervals and for the limit beyond which a row is an outlier; and that of the ratio of two
+//! mean squares.
 
-use statrs::distribution::{ContinuousCDF, StudentsT};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor, StudentsT};
 
 /// Returns the `probability` quantile of Student's t; infinite without degrees of freedom.
 ///
@@ -26,4 +27,17 @@ pub fn t_probability(t: f64, degrees_of_freedom: f64) -> f64 {
         Ok(student) if degrees_of_freedom > 0.0 => student.cdf(t),
         _ => f64::NAN,
     }
+}
+
+/// Returns the `probability` quantile of the ratio of two mean squares with these degrees of freedom, Fisher's F;
+/// infinite without degrees of freedom.
+///
+/// ```
+/// // scipy.stats.f.ppf(0.95, 3, 10)
+/// assert!((trueup_numerics::f_quantile(0.95, 3.0, 10.0) - 3.708_264_8).abs() < 1e-6);
+/// ```
+#[must_use]
+pub fn f_quantile(probability: f64, numerator: f64, denominator: f64) -> f64 {
+    let quantile = FisherSnedecor::new(numerator, denominator).map(|f| f.inverse_cdf(probability));
+    quantile.ok().filter(|f| !f.is_nan()).unwrap_or(f64::INFINITY)
 }

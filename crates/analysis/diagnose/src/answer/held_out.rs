@@ -11,13 +11,11 @@
 //! floor = 1 − √ρ₉₅
 //! ```
 //!
-//! Where the zero shifts from part to part (its variance is u²), a day may have any of these shifts, and a few parts
-//! say little of them: the floor allows for (Ā − mean mₚ² + u²·t₉₅²·(1 + 1/k))/B̄ too, mₚ the mean of what is left in a
-//! part. Nor is the floor above that of a day on which what is left is twice as much of what is corrected (mean
-//! squares): it may ask for less than the record did, and its noise is its own.
-//! A machine also changes with the days, which parts in the middle do not show: the floor is at most what a fit to the
-//! first half, or to the first two thirds, foresaw of the rest, where the inputs of the rest lie within theirs; and
-//! what is expected is the median of the three.
+//! A machine also changes with the days, which parts in the middle do not show: what is expected is the median of ρ and
+//! of what a fit to the first half, and to the first two thirds, foresaw of the rest, where the inputs of the rest lie
+//! within theirs. From the largest of the three on a new day may leave more of what is corrected, as
+//! [`crate::answer::new_day`] says: its zero is its own, its readings are few, or alike. The floor allows for this as
+//! well, and for the worst two parts.
 //!
 //! All are about the file's own zero; `zero_again` takes the mean of the first three readings of a part off both.
 
@@ -27,6 +25,7 @@ use trueup_numerics::{robust::median, t_quantile};
 
 use crate::{
     answer::{
+        new_day::LeftOfParts,
         range::extent,
         report::{Figures, HeldOut},
     },
@@ -41,9 +40,6 @@ use crate::{
 
 /// One-sided: the share of days on which the floor is kept.
 const KEPT: f64 = 0.95;
-/// The share left over what is corrected, of a new day over that of the record (mean squares): 90 % of simulated days
-/// leave at most 2.1 to 2.2 times the record's share of what was there (`--example promise`).
-const NEW_DAY: f64 = 2.0;
 /// The rest of a record lies within its beginning up to this share of the range ([`crate::answer::worse`]).
 const BEYOND: f64 = 0.1;
 /// Readings from which a day's zero is set.
@@ -148,14 +144,15 @@ fn as_run(model: &Model) -> Model {
 struct Sums {
     before: Vec<f64>,
     after: Vec<f64>,
-    /// The mean of what is left in each, in µm.
-    shifts: Vec<f64>,
+    /// What is left, for a new day.
+    left: LeftOfParts,
 }
 
 impl Sums {
     fn of(um: [&[f64]; 2], parts: &[usize], within: f64) -> Self {
         let count = parts.iter().max().map_or(0, |last| last + 1);
         let scale = count as f64 / parts.len().max(1) as f64;
+        let um_left = um[1];
         let [before, after] = um.map(|um| {
             let mut sums = vec![0.0; count];
             for (um, &part) in um.iter().zip(parts) {
@@ -163,13 +160,8 @@ impl Sums {
             }
             sums
         });
-        let mut shifts = vec![[0.0; 2]; count];
-        for (um, &part) in um[1].iter().zip(parts) {
-            shifts[part][0] += um;
-            shifts[part][1] += 1.0;
-        }
-        let shifts = shifts.into_iter().map(|[sum, count]| sum / count).collect();
-        Self { before, after, shifts }
+        let left = LeftOfParts::new(um_left, parts, within);
+        Self { before, after, left }
     }
 
     /// Returns the mean squares, without `noise` (of a mean square in µm² that both hold).
@@ -197,15 +189,6 @@ impl Sums {
         ratio.filter(|ratio| ratio.is_finite()).fold(0.0, f64::max)
     }
 
-    /// By how much shifts of the zero may make a new day's mean square larger than that of these parts, in µm².
-    fn of_shifts(&self) -> f64 {
-        let count = self.shifts.len() as f64;
-        let square = self.shifts.iter().map(|um| um * um).sum::<f64>() / count;
-        // Of a part that was left out the shift holds that of the others' mean.
-        let variance = square * (count - 1.0) / count;
-        variance * t_quantile(KEPT, count - 1.0).powi(2) * (1.0 + 1.0 / count) - square
-    }
-
     /// `later`: ρ of the rests that were foreseen from the beginning.
     fn figures(&self, noise: f64, later: &[f64]) -> Figures {
         let count = self.before.len() as f64;
@@ -219,12 +202,9 @@ impl Sums {
         let scatter = (off.sum::<f64>() / (count - 1.0)).sqrt();
         let new_day = (1.0 / count + 1.0).sqrt();
         let highest = ratio + t_quantile(KEPT, count - 1.0) * scatter / before * new_day;
-        let shifted = (ratio + self.of_shifts() / before).max(self.worst_pair(noise));
-        // The odds of what is left to what is corrected.
-        let odds = NEW_DAY * expected / (1.0 - expected);
-        let asks_for_less = if expected < 1.0 { odds / (1.0 + odds) } else { expected };
-        let shifted = shifted.max(asks_for_less);
-        let highest = later.iter().copied().fold(highest.max(shifted), f64::max);
+        let worst = later.iter().copied().fold(ratio, f64::max);
+        let another = of_new_day(worst, self.left.times_on_new_day(KEPT, noise));
+        let highest = highest.max(self.worst_pair(noise)).max(another);
         // Of one part nothing is known.
         let floor = if count > 1.0 && highest.is_finite() { 1.0 - highest.sqrt() } else { -1.0 };
         Figures {
@@ -234,6 +214,17 @@ impl Sums {
             reduction_floor95: floor.max(-1.0),
         }
     }
+}
+
+/// Returns the ratio of what is left to what was there on a day that leaves `times` as much of what is corrected as one
+/// with this `ratio`.
+fn of_new_day(ratio: f64, times: f64) -> f64 {
+    if ratio >= 1.0 {
+        return ratio;
+    }
+    // The odds of what is left to what is corrected.
+    let odds = times * ratio / (1.0 - ratio);
+    if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 }
 }
 
 /// `um` less the mean of the first readings of each part.
@@ -308,11 +299,17 @@ fn or(values: &[f64]) -> String {
 mod tests {
     use super::*;
 
+    /// Parts of these mean squares, which leave a new day as much as themselves.
+    fn still(before: &[f64], after: &[f64]) -> Sums {
+        let left = LeftOfParts::new(&[0.0; 10], &[0; 10], 0.0);
+        Sums { before: before.to_vec(), after: after.to_vec(), left }
+    }
+
     /// By hand: A = 1, 3, B = 8, 8 in µm²; ρ = ¼, s² = 2, t₉₅(1) = 6.314, √(1/2 + 1), so that ρ₉₅ = 0.25 +
     /// 6.314·√2/8·√1.5 = 1.617.
     #[test]
     fn a_floor_of_two_parts_is_that_of_the_hand() {
-        let sums = Sums { before: vec![8.0, 8.0], after: vec![1.0, 3.0], shifts: vec![0.0; 2] };
+        let sums = still(&[8.0, 8.0], &[1.0, 3.0]);
         let figures = sums.figures(0.0, &[]);
         assert!((figures.before_um - 8.0_f64.sqrt()).abs() < 1e-12);
         assert!((figures.after_um - 2.0_f64.sqrt()).abs() < 1e-12);
@@ -325,20 +322,21 @@ mod tests {
         assert!((at_tool.reduction - (1.0 - (1.0_f64 / 7.0).sqrt())).abs() < 1e-12, "{at_tool:?}");
     }
 
-    /// By hand: shifts of +1 and −1 µm, so that u² = 1·½, t₉₅(1)² = 39.86, and a day may have ½·39.86·1.5 − 1 = 28.9
-    /// µm² more.
+    /// Zeros of +1 and −1 µm, of which nothing is noise: a new day leaves F₉₅(1, 1)·1.25 = 161.4·1.25 times as much, of
+    /// odds of 1/99, thus ρ = 2.038/3.038.
     #[test]
     fn a_zero_that_shifts_from_part_to_part_lowers_the_floor() {
-        let sums = Sums { before: vec![100.0; 2], after: vec![1.0; 2], shifts: vec![1.0, -1.0] };
-        assert!((sums.of_shifts() - 28.897).abs() < 1e-2, "{}", sums.of_shifts());
+        let left = LeftOfParts::new(&[1.0, -1.0], &[0, 1], 0.0);
+        let sums = Sums { left, ..still(&[100.0; 2], &[1.0; 2]) };
         let floor = sums.figures(0.0, &[]).reduction_floor95;
-        assert!((floor - (1.0 - 0.298_97_f64.sqrt())).abs() < 1e-3, "{floor}");
+        let odds: f64 = 161.448 * 1.25 / 99.0;
+        assert!((floor - (1.0 - (odds / (1.0 + odds)).sqrt())).abs() < 1e-3, "{floor}");
     }
 
-    /// ρ = ¼ of the parts, ½ and 1 of the rests: the median is ½, and no floor is above what the worst rest gave.
+    /// ρ = ¼ of the parts, ½ and 0.81 of the rests: the median is ½, and no floor is above what the worst rest gave.
     #[test]
     fn what_the_beginning_foresaw_of_the_rest_bounds_the_promise() {
-        let sums = Sums { before: vec![4.0; 3], after: vec![1.0; 3], shifts: vec![0.0; 3] };
+        let sums = still(&[4.0; 3], &[1.0; 3]);
         let figures = sums.figures(0.0, &[0.5, 0.81]);
         assert!((figures.reduction - (1.0 - 0.5_f64.sqrt())).abs() < 1e-12, "{figures:?}");
         assert!((figures.after_um - 2.0_f64.sqrt()).abs() < 1e-12, "{figures:?}");
@@ -347,16 +345,13 @@ mod tests {
 
     /// ρ = ¼ is odds of ⅓ of what is left to what is corrected; of twice as much ⅔, ρ = 0.4.
     #[test]
-    fn what_is_left_alike_in_all_parts_is_promised_but_for_a_day_that_asks_for_less() {
-        let alike = Sums {
-            before: vec![4.0, 9.0, 16.0],
-            after: vec![1.0, 2.25, 4.0],
-            shifts: vec![0.0; 3],
-        };
+    fn what_is_left_alike_in_all_parts_is_promised() {
+        let alike = still(&[4.0, 9.0, 16.0], &[1.0, 2.25, 4.0]);
         let figures = alike.figures(0.0, &[]);
-        assert!((figures.reduction_floor95 - (1.0 - 0.4_f64.sqrt())).abs() < 1e-9, "{figures:?}");
-        let one = Sums { before: vec![4.0], after: vec![0.0], shifts: vec![0.0] };
-        assert_eq!(one.figures(0.0, &[]).reduction_floor95, -1.0);
+        assert!((figures.reduction_floor95 - 0.5).abs() < 1e-9, "{figures:?}");
+        assert!((of_new_day(0.25, 2.0) - 0.4).abs() < 1e-12);
+        assert_eq!(of_new_day(0.25, f64::INFINITY), 1.0);
+        assert_eq!(still(&[4.0], &[0.0]).figures(0.0, &[]).reduction_floor95, -1.0);
     }
 
     #[test]

@@ -16,6 +16,7 @@ mod hint;
 pub(crate) mod hold_out;
 pub(crate) mod html;
 mod measured;
+mod new_day;
 mod next;
 mod not_written;
 mod on_board;

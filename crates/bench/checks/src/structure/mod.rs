@@ -13,8 +13,9 @@ mod language;
 mod layers;
 mod modules;
 mod source;
+mod thresholds;
 
-use std::{fmt::Write as _, path::Path};
+use std::{fmt::Write as _, fs, path::Path};
 
 use anyhow::{Result, ensure};
 
@@ -48,6 +49,10 @@ struct Limits {
     without_tier: usize,
     /// Places that name the one cause that is named in most.
     places: usize,
+    /// Numbers that decide in the finder.
+    thresholds: usize,
+    /// Rows of docs/thresholds.md that name one which is not there.
+    stale: usize,
 }
 
 const LIMITS: Limits = Limits {
@@ -61,6 +66,8 @@ const LIMITS: Limits = Limits {
     unseen: 0,
     without_tier: 0,
     places: 2,
+    thresholds: 107,
+    stale: 0,
 };
 
 /// How many files with the most counted words are named.
@@ -135,10 +142,16 @@ pub fn check(root: &Path) -> Result<String> {
     for place in &places {
         writeln!(text, "    {place}")?;
     }
+    let thresholds =
+        thresholds::count(&sources, &fs::read_to_string(root.join("docs/thresholds.md"))?);
+    let what =
+        format!("thresholds of the finder (target: 40; and {} other numbers)", thresholds.others);
+    head(&mut text, &what, thresholds.decide.len(), LIMITS.thresholds)?;
     let language = language::count(root, &sources)?;
     for (what, found, limit) in [
         ("references that lead nowhere", &language.nowhere, LIMITS.nowhere),
         ("tables without a head", &language.cut_tables, LIMITS.cut_tables),
+        ("thresholds of the finder that are elsewhere", &thresholds.stale, LIMITS.stale),
     ] {
         head(&mut text, what, found.len(), limit)?;
         for place in found {
