@@ -282,15 +282,15 @@ impl Sensitivity {
         let believed_um = predicted(source)?;
         let mut um: Vec<Vec<f64>> = believed_um.iter().map(|_| vec![1.0]).collect();
         for (Constant { key, believed, .. }, share) in constants.iter().zip(&applied[1..]) {
-            if Rise::of(key).is_some_and(|rise| run.column(rise.air).is_none()) {
-                // Without the air nothing is known of what is over it.
-                let g = if *share == 0.0 { 0.0 } else { f64::NAN };
-                um.iter_mut().for_each(|row| row.push(g));
-                continue;
-            }
+            let rise = Rise::of(key);
+            let has_column = rise.as_ref().is_none_or(|rise| run.column(rise.air).is_some());
             let twice = with(source, &[(key.clone(), 2.0 * believed)]).unwrap_or_default();
-            for ((row, twice), once) in um.iter_mut().zip(predicted(&twice)?).zip(&believed_um) {
-                row.push(twice - once);
+            let twice = if has_column { predicted(&twice)? } else { vec![f64::NAN; um.len()] };
+            // Without the air nothing is known of what is over it; as long as nothing is, none of it is missing.
+            let is_idle = rise.is_some() && *share == 0.0;
+            for ((row, twice), once) in um.iter_mut().zip(twice).zip(&believed_um) {
+                let g = twice - once;
+                row.push(if is_idle && g.is_nan() && !once.is_nan() { 0.0 } else { g });
             }
         }
         let (mut thermometers, mut shares_um) = (Vec::new(), Vec::new());

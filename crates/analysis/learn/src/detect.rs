@@ -372,4 +372,24 @@ mod tests {
         let last = found(|n, _| if n < 6 { 0.0 } else { 1.5 * wide[n] }, &levels);
         assert!(last.is_none_or(|it| it.best.alternative != Alternative::Scatter));
     }
+
+    #[test]
+    fn no_thermometer_shows_the_opposite_of_its_rise() {
+        let share = |size: f64| {
+            let rises = [-20.0, 30.0, -25.0, 35.0, -30.0, 28.0];
+            let h: Vec<[f64; 1]> = rises.map(|rise| [rise]).into();
+            let rows: Vec<Row<'_>> =
+                h.iter().map(|h| Row { g: &[1.0], h, y_um: size * h[0] }).collect();
+            let before = Before {
+                x: vec![0.0],
+                constants: Vec::new(),
+                scatter_um: [1.0; 2],
+                unknown_um: vec![0.2; rows.len()],
+            };
+            let found = explain(&rows, &before, false)?;
+            Some(found.best.alternative).filter(|it| *it == Alternative::Thermometer(0))
+        };
+        // It shows 1/1.4 of its rise; 1/(1 − 1.2) would be the opposite, five times.
+        assert!(share(0.4).is_some() && share(-1.2).is_none());
+    }
 }

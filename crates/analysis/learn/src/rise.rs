@@ -10,6 +10,7 @@
 //! the board.
 
 use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, Value};
+use trueup_core::dimensions::MAX_TERMS;
 use trueup_machine::{
     Machine, RunFile,
     file::{ElongationSource, Quantity},
@@ -19,9 +20,8 @@ use crate::sections::find;
 
 /// Words of a column's name that say: the air.
 const AIR: [&str; 4] = ["air", "ambient", "hall", "room"];
-/// Terms that a rise adds at the most, and those that a board has.
-const ADDED: usize = 2;
-const TERMS: usize = 16;
+/// Terms of a board that a rise is, at most: two temperatures, at the zero and over the position.
+const ADDED: usize = 4;
 
 /// Returns the column of the air in `run`.
 pub(crate) fn air(run: &RunFile) -> Option<String> {
@@ -33,7 +33,9 @@ pub(crate) fn air(run: &RunFile) -> Option<String> {
 /// Returns the keys of the rises over `air` by which a quantity may go.
 pub(crate) fn of(machine: &Machine, quantity: Quantity, air: &str) -> Vec<String> {
     let has_air = machine.inputs.as_ref().is_none_or(|it| it.temperatures.contains_key(air));
-    if !has_air || machine.terms.len() + ADDED > TERMS {
+    let on_board: usize = machine.terms.iter().map(|term| term.effect.on_board().len()).sum();
+    let has_room = on_board + ADDED <= MAX_TERMS;
+    if !has_air || !has_room {
         return Vec::new();
     }
     let mut laws = Vec::new();

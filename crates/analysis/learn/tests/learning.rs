@@ -359,6 +359,28 @@ fn the_growth_of_each_tool_is_taken_off_before_a_constant_is_learned() {
     assert_eq!(tools(&changed.machine), tools(&machine));
 }
 
+/// A thermometer in the air that is dead in some rows, or was never there, is no reason to refuse a reading while nothing
+/// depends on it.
+#[test]
+fn the_air_is_missed_only_where_a_rise_over_it_is_applied() {
+    let drawn = year(7, Kind::Axis, Happens::default());
+    let csv = &drawn.days[0].csv;
+    let place = csv.lines().next().expect("a head").split(',').position(|it| it == "temp_air_c");
+    let place = place.expect("it is there");
+    let dead = csv.lines().enumerate().map(|(row, line)| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if row > 0 {
+            cells[place] = "";
+        }
+        cells.join(",") + "\n"
+    });
+    let run = RunFile::from_reader(dead.collect::<String>().as_bytes(), Path::new("r.csv"));
+    let path = Path::new("m.toml");
+    let learned = learn(&drawn.machine, path, &run.expect("a run"), None, None, &Limits::default());
+    let readings = learned.expect("it can learn").readings;
+    assert!(!readings.is_empty() && readings.iter().all(|it| it.used), "{readings:?}");
+}
+
 /// Half a year of an axis whose thermometer shows 70 % of its rise over the air from June on.
 #[test]
 fn a_moved_thermometer_is_followed_by_a_term_over_the_air() {

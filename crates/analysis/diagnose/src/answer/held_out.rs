@@ -144,7 +144,7 @@ fn as_run(model: &Model) -> Model {
 struct Sums {
     before: Vec<f64>,
     after: Vec<f64>,
-    /// What is left, for a new day.
+    /// The rest of a new day.
     left: LeftOfParts,
 }
 

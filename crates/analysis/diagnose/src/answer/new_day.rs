@@ -1,6 +1,6 @@
 //! How much more a new day may leave than the parts of a record do on the average.
 //!
-//! What a fit to the others leaves of a part is its zero and a rest. With the mean square Z of the zeros of k parts (less
+//! The residual of a part, by a fit to the others, is its zero and a rest. With the mean square Z of the zeros of k parts (less
 //! that of a mean of noise) and R of the rest, which has ν degrees of freedom, a new day leaves at most
 //!
 //! ```text
@@ -15,7 +15,7 @@
 
 use trueup_numerics::f_quantile;
 
-/// What is left of parts that a fit did not see, as mean squares in µm².
+/// Residuals of parts that a fit did not see, as mean squares in µm².
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LeftOfParts {
     /// Of the zeros of the parts.

@@ -15,6 +15,7 @@ use trueup_core::{
     dimensions::MAX_TERMS,
     fixed::Scaled,
     gradient::Gradient,
+    lag::SmoothingFactor,
     pitch::Pitch,
     term::{self, Effect, HEAT_SLOPE_BITS, Target, Term, UNIT_STEP},
     units::{Fine, Position, Temperature},
@@ -250,7 +251,7 @@ fn heat_slope(channel: u8, it: &Heat) -> Made<Effect<'static>> {
         return Err(format!("{} µm/(m·K) is beyond the board's ±{most:.0}", it.um_per_c));
     }
     let (per_temperature, reference, nm) = by_heat(it, HEAT_SLOPE_M)?;
-    let smoothing = lag::smoothing_factor(it.time_constant_s.max(FASTEST_AXIS_S))?;
+    let smoothing = lag::smoothing_factor(it.time_constant_s)?.at_most(SmoothingFactor::ONE_SECOND);
     Ok((Effect::HeatSlope { channel, smoothing, reference, per_temperature }, nm))
 }
 
@@ -277,8 +278,6 @@ fn speed_heat(it: &SpeedHeat) -> Made<Effect<'static>> {
 
 /// The position in m at which a slope by heat is its coefficient.
 const HEAT_SLOPE_M: f64 = (1_u64 << HEAT_SLOPE_BITS) as f64 / UNITS_PER_MM / 1_000.0;
-/// `FASTEST_AXIS` of the board, in s.
-const FASTEST_AXIS_S: f64 = 1.0;
 pub(crate) const TWO_24: f64 = (1_u64 << 24) as f64;
 
 /// Returns a length, and its rounding in nm.

@@ -51,7 +51,7 @@ macro_rules! table {
 
         impl $crate::file::table::Table for $Name {
             const KEYS: &'static [$crate::file::key::Key] = {
-                #[allow(unused_imports, reason = "a key may be declared elsewhere")]
+                #[allow(unused_imports, reason = "a table whose keys all stand elsewhere, as those of causes, names no form")]
                 use $crate::file::key::{Form::*, key};
                 &[$($key $((stringify!($field), $form, $unit, $meaning))?
                     $(.$property($($argument),*))*),*]

@@ -1,6 +1,6 @@
 //! The moment from which the replay runs: the board has answered a client's first `O`.
 //!
-//! What the board sends while its channel is closed is lost, and the first millisecond already has the
+//! Frames that the board sends while its channel is closed are lost, and the first millisecond already has the
 //! boot-up message.
 
 use std::{
