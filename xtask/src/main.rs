@@ -210,6 +210,12 @@ enum LinuxCncCommand {
     },
     /// Cuts the same circle without the bridge and with it, from what a ball bar says of the first: three minutes.
     Circle,
+    /// Goes through the loop's staircase again and again without LinuxCNC: by how much the backlash goes up and down.
+    Repeat {
+        /// How often, with each of two machine files.
+        #[arg(long, default_value_t = 100)]
+        runs: u64,
+    },
 }
 
 #[derive(Args)]
@@ -415,6 +421,7 @@ fn run_linuxcnc(LinuxCnc { on, by, command }: LinuxCnc) -> Result<()> {
             campaign::abuse(cycles, events, seed.unwrap_or_else(any_seed), &ways)
         }
         Some(LinuxCncCommand::Circle) => campaign::linuxcnc_circle(),
+        Some(LinuxCncCommand::Repeat { runs }) => linuxcnc::repeat::print(runs),
     }
 }
 

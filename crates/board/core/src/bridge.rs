@@ -32,8 +32,8 @@
 //! Work is done when its input changes. A tick does what comes every millisecond: samples, the
 //! errors added up, limits. The errors that depend on a position are computed when it is received, the tool
 //! direction when the angles are, expansion once in 100 ms. On the gantry of `data/`, all axes on
-//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,659
-//! instructions (median; 2,189 where the spindle speed has changed and a part of the heat is
+//! their way at the slew limit, `cargo measure` counts for a whole tick of the node 1,661
+//! instructions (median; 2,174 where the spindle speed has changed and a part of the heat is
 //! stepped; the sources are asked what they would say in a millisecond of their own). With a volume the tick that
 //! follows a message adds it up ([`CachedErrors::add_up`](crate::geometry::CachedErrors::add_up), 374), once for all positions and angles that came:
 //!
@@ -327,8 +327,12 @@ impl<'a> Bridge<'a> {
         }
         // As many items have no term as there are parts: one a millisecond.
         state.heat.learned.step(item);
-        let temperatures = state.channels.temperatures();
-        state.heat.step_item_of_readings(&self.calibration, item, &temperatures, speed);
+        let temperatures = if heat::is_of_an_axis(&self.calibration, item) {
+            state.steady.map(|it| it.temperature())
+        } else {
+            state.channels.temperatures()
+        };
+        state.heat.step_item(&self.calibration, item, &temperatures, speed);
         if let Some(axis) = LinearAxis::ALL.get(item) {
             self.warmed(state, *axis);
         } else if let Some(term) = item.checked_sub(heat::FIRST_TERM)
@@ -374,7 +378,10 @@ impl<'a> Bridge<'a> {
             let raw = if fresh { *raw } else { Raw::NONE };
             let reading = thermometer.measure(raw, state.supply());
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
-            state.channels.receive_within(number, reading, &limit);
+            let believed = state.channels.receive_within(number, reading, &limit);
+            if let Some(steady) = state.steady.get_mut(number) {
+                steady.follow(believed, thermometer.step());
+            }
         }
     }
 

@@ -130,20 +130,20 @@ impl Channels {
     }
 
     /// Takes what the thermometer of a channel reads, as [`Channel::receive_within`]. One that has stopped while another has not
-    /// reads nothing that could be believed ([`Stillness`]).
+    /// reads nothing that could be believed ([`Stillness`]). Returns the temperature that is believed now.
     pub fn receive_within(
         &mut self,
         number: usize,
         reading: Result<Temperature, Fault>,
         limit: &RateLimit,
-    ) {
-        let Some(stillness) = self.stillness.get_mut(number) else { return };
+    ) -> Option<Temperature> {
+        let stillness = self.stillness.get_mut(number)?;
         stillness.receive(reading.ok());
         let is_going = stillness.is_going();
         let is_stuck = stillness.is_still() && self.going != IndexSet::default();
         let agrees = reading.is_ok_and(|now| self.agrees(limit.partners, now));
         let reading = if is_stuck { Err(Fault::Missing) } else { reading };
-        let Some(channel) = self.channels.get_mut(number) else { return };
+        let channel = self.channels.get_mut(number)?;
         channel.receive_within(reading, limit, agrees);
         for (set, is_in) in [
             (&mut self.known, channel.temperature().is_some()),
@@ -153,6 +153,7 @@ impl Channels {
         ] {
             if is_in { set.insert(number) } else { set.remove(number) }
         }
+        channel.temperature()
     }
 
     /// Returns whether the last reading of one of these agrees with a reading.

@@ -16,7 +16,7 @@ use crate::{
     lag::{Lag, SmoothingFactor},
     learned::Learned,
     set::IndexSet,
-    term::TermStates,
+    term::{Target, TermStates},
     units::{Fine, Nanometres, Rpm, Temperature},
     warmup,
 };
@@ -56,18 +56,16 @@ pub struct Heat {
     pub learned: Learned,
 }
 
-/// No axis follows its thermometer faster. The step of a MAX31865, 1/32 K, is 0.36 µm for each metre of a steel screw,
-/// and a thermometer at the edge of a step reads now one, now the other: an offset that went with it would turn the axis
-/// round ten times a second, within its backlash. A time constant of 1 s leaves a fifth of it, and costs 0.2 µm/m where a
-/// screw warms by 1 K/min.
-const FASTEST_AXIS: SmoothingFactor = SmoothingFactor::ONE_SECOND;
-
-/// What is farther from the smoothed value is no noise, and is followed at once: half a kelvin, as in
-/// [`thermal_rate`](crate::thermal_rate). So the first result of a converter, which may be far off, does not linger.
-const MAX_NOISE: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
-
 /// The remainder of an error of heat at which the heat counts as known: 1 µm.
 const LEFT_NM: i64 = 1_000;
+
+/// Returns whether an item is the expansion of an axis or a term of its error, not one of the elongation: such a part
+/// follows temperatures [without jitter](crate::steady). The elongation goes on from another source without a delay.
+#[must_use]
+pub fn is_of_an_axis(calibration: &Calibration<'_>, item: usize) -> bool {
+    let term = || calibration.terms.get(item.checked_sub(FIRST_TERM)?)?.as_ref();
+    item < SPINDLE || term().is_some_and(|term| term.target != Target::Elongation)
+}
 
 /// Returns whether these are at least two thermometers, all of which agree within `within`. One that is
 /// connected and not known agrees with none.
@@ -94,7 +92,7 @@ impl Heat {
         }
     }
 
-    /// One item of a step by the laws alone. A temperature that is missing leaves its part as it is.
+    /// One item of a step. A temperature that is missing leaves its part as it is.
     pub fn step_item(
         &mut self,
         calibration: &Calibration<'_>,
@@ -102,45 +100,14 @@ impl Heat {
         temperatures: &[Option<Temperature>; CHANNELS],
         speed: Option<Rpm>,
     ) {
-        self.step_part(calibration, item, temperatures, speed, SmoothingFactor::NO_LAG);
-    }
-
-    /// One item of a step with temperatures as converters deliver them, in steps and with noise: as [`Self::step_item`],
-    /// and no axis follows faster than by 1 s.
-    pub fn step_item_of_readings(
-        &mut self,
-        calibration: &Calibration<'_>,
-        item: usize,
-        temperatures: &[Option<Temperature>; CHANNELS],
-        speed: Option<Rpm>,
-    ) {
-        self.step_part(calibration, item, temperatures, speed, FASTEST_AXIS);
-    }
-
-    fn step_part(
-        &mut self,
-        calibration: &Calibration<'_>,
-        item: usize,
-        temperatures: &[Option<Temperature>; CHANNELS],
-        speed: Option<Rpm>,
-        fastest: SmoothingFactor,
-    ) {
         if let (Some(heat), Some(axis)) = (self.axes.get_mut(item), calibration.axes.get(item)) {
             if let Some(thermal) = &axis.thermal
                 && let Some(temperature) = channel(temperatures, thermal.channel)
             {
-                let has_memory =
-                    [thermal.smoothing, thermal.smoothing_falling] != [SmoothingFactor::NO_LAG; 2];
-                if !has_memory && heat.lag.is_some_and(|lag| is_beyond_noise(lag, temperature)) {
-                    heat.lag = None;
-                }
-                let lagged = step_lag(
-                    &mut heat.lag,
-                    temperature,
-                    [thermal.smoothing, thermal.smoothing_falling].map(|it| it.at_most(fastest)),
-                );
+                let smoothing = [thermal.smoothing, thermal.smoothing_falling];
+                let lagged = step_lag(&mut heat.lag, temperature, smoothing);
                 (heat.constant, heat.gradient) = thermal.law.at(lagged);
-                if self.unknown_steps == 0 || !has_memory {
+                if self.unknown_steps == 0 || smoothing == [SmoothingFactor::NO_LAG; 2] {
                     self.known.insert(item);
                 }
             }
@@ -326,10 +293,6 @@ fn channel(temperatures: &[Option<Temperature>; CHANNELS], number: u8) -> Option
     temperatures.get(usize::from(number)).copied().flatten()
 }
 
-fn is_beyond_noise(smoothed: Lag, temperature: Temperature) -> bool {
-    smoothed.value().abs_diff(temperature.0) > MAX_NOISE
-}
-
 /// Moves a lag one step. Returns the lagged temperature; a lag starts settled at the first temperature that it sees.
 fn step_lag(
     lag: &mut Option<Lag>,
@@ -352,8 +315,6 @@ fn step_lag(
 #[cfg(test)]
 mod tests {
     use super::*;
-    extern crate std;
-    use std::vec::Vec;
 
     #[test]
     fn a_lag_rises_by_one_time_constant_and_falls_by_the_other() {
@@ -383,50 +344,5 @@ mod tests {
         assert_eq!(heat.by_running_time(), Nanometres(30_000));
         heat.step(&calibration, &[None; CHANNELS], Some(Rpm(0)));
         assert_eq!(heat.by_running_time(), Nanometres(0));
-    }
-
-    #[test]
-    fn a_step_of_the_converter_that_comes_and_goes_moves_an_axis_by_a_fifth_at_most() {
-        use crate::{calibration::AxisThermal, thermal};
-        const STEP: i32 = Temperature::PER_KELVIN / 32;
-        let piece = thermal::Piece { constant_slope: 1 << 20, ..Default::default() };
-        let pieces = [piece.to_bytes()];
-        let mut calibration: Calibration<'_> = crate::testing::plain();
-        calibration.axes[2].thermal = Some(AxisThermal {
-            channel: 0,
-            smoothing: SmoothingFactor::NO_LAG,
-            smoothing_falling: SmoothingFactor::NO_LAG,
-            origin: Default::default(),
-            law: thermal::Law { pieces: &pieces },
-        });
-        let mut heat = Heat::default();
-        let mut at = |temperature: i32| {
-            let mut temperatures = [None; CHANNELS];
-            temperatures[0] = Some(Temperature(temperature));
-            heat.step_item_of_readings(&calibration, 2, &temperatures, None);
-            heat.axis(2).0.0
-        };
-        // A lag would begin at the first temperature; so does this.
-        let low = at(0);
-        let high = {
-            let mut other = Heat::default();
-            let mut temperatures = [None; CHANNELS];
-            temperatures[0] = Some(Temperature(STEP));
-            other.step_item_of_readings(&calibration, 2, &temperatures, None);
-            other.axis(2).0.0
-        };
-        let of_a_step = high - low;
-        assert!(of_a_step > 0);
-        let moved = (0..1_000).map(|n| at(STEP * (n % 2)));
-        let settled: Vec<i32> = moved.skip(500).collect();
-        let range = settled.iter().max().unwrap() - settled.iter().min().unwrap();
-        assert!(range * 5 < of_a_step, "{range} of {of_a_step}");
-        // A first result that is far off is gone with the next one.
-        at(-100 * Temperature::PER_KELVIN);
-        assert_eq!(at(STEP), high);
-        // What stays is followed: e⁻¹⁰ is left after ten seconds.
-        at(0);
-        let reached = (0..100).map(|_| at(STEP)).last().unwrap();
-        assert!((high - reached).abs() <= 1 + of_a_step / 10_000, "{reached} of {high}");
     }
 }

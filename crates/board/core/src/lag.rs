@@ -31,12 +31,6 @@ impl SmoothingFactor {
     /// A time constant of 1 s: 1 − e^(−0.1) in Q32.
     pub const ONE_SECOND: Self = Self(408_720_177);
 
-    /// Returns the factor of a law that is not faster than this one.
-    #[must_use]
-    pub const fn at_most(self, most: Self) -> Self {
-        if self.0 > most.0 { most } else { self }
-    }
-
     /// Steps after which a difference is down to one of `parts`, or less. It is counted in half-lives,
     /// ln 2/α of them at most.
     #[must_use]

@@ -74,6 +74,7 @@ pub mod revolution_mean;
 pub mod run_out;
 pub mod sensor;
 pub mod set;
+pub mod steady;
 pub mod stillness;
 pub mod supply;
 pub mod term;

@@ -25,14 +25,14 @@ pub const ARC: ([f64; 2], f64, f64) = ([13_000.0, 1_500.0], 700.0, 20_000.0);
 /// The heights of the staircase in mm; off the multiples of the screw's pitch.
 pub const STAIRS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
 /// The feed between them in mm/min.
-const STAIRS_FEED: f64 = 30_000.0;
+pub const STAIRS_FEED: f64 = 30_000.0;
 /// The feed of the move with five axes in mm/min.
 const FIVE_AXES_FEED: f64 = 4_000.0;
 /// How long a program waits until an offset has settled.
 const DWELL_S: f64 = 0.3;
 /// How long it stands at each height of the staircase. LinuxCNC's interpreter ends a dwell by the wall's clock,
 /// so where the computer keeps the servo thread waiting, that many cycles are missing from the dwell.
-const STAIR_DWELL_S: f64 = 1.0;
+pub const STAIR_DWELL_S: f64 = 1.0;
 /// The spindle's speed in r/min.
 pub const SPINDLE_RPM: f64 = 24_000.0;
 

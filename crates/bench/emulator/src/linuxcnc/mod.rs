@@ -17,6 +17,7 @@
 //! | machine | the twin: heat, guides, screws, spindle, sensors | [`plant`], `machine.toml` |
 //! | machine file | measured on the twin, fitted, diagnosed | [`measured`] |
 //! | figures | from every servo cycle | [`figures`], [`page`] |
+//! | how far the backlash goes up and down | the staircase without LinuxCNC, again and again | [`repeat`] |
 //!
 //! Tests that need a control and no bridge start the LinuxCNC of [`three_joints`].
 //!
@@ -43,6 +44,7 @@ mod left_over;
 pub mod measured;
 pub mod page;
 pub mod plant;
+pub mod repeat;
 pub mod three_joints;
 
 use std::{

@@ -5,6 +5,7 @@ use crate::{
     calibration::AxisModel,
     channels::{Channels, RawTemperatures},
     cnc::{AxisPosition, Conditions, Control, Spindle},
+    dimensions::CHANNELS,
     filter::Filter,
     geometry::{CachedErrors, ErrorSums},
     health::{Health, Noise},
@@ -13,6 +14,7 @@ use crate::{
     limits::Applied,
     place::Place,
     run_out::RunOut,
+    steady::SteadyTemperature,
     supply::Scale,
     tool::Direction,
     units::{Fine, MicroDegrees, Millis, Nanometres, Position, Temperature},
@@ -74,6 +76,8 @@ pub struct State {
     pub(super) raw: RawTemperatures,
     pub(super) raw_age: Age,
     pub(super) channels: Channels,
+    /// Their temperatures without jitter.
+    pub(super) steady: [SteadyTemperature; CHANNELS],
     pub(super) heat: Heat,
     /// Milliseconds of the present step of the heat.
     pub(super) phase_ms: u32,

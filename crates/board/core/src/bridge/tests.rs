@@ -7,6 +7,7 @@ mod learned;
 mod needs;
 mod rates;
 mod sources;
+mod steady;
 mod timeouts;
 
 use super::*;

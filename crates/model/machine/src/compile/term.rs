@@ -15,7 +15,6 @@ use trueup_core::{
     dimensions::MAX_TERMS,
     fixed::Scaled,
     gradient::Gradient,
-    lag::SmoothingFactor,
     pitch::Pitch,
     term::{self, Effect, HEAT_SLOPE_BITS, Target, Term, UNIT_STEP},
     units::{Fine, Position, Temperature},
@@ -244,14 +243,14 @@ fn heat(channel: u8, it: &Heat) -> Made<Effect<'static>> {
     Ok((Effect::Heat { channel, smoothing, reference, per_temperature }, nm))
 }
 
-/// Returns a slope by heat. It follows no faster than the thermal law of an axis does, for the same reason.
+/// Returns a slope by heat.
 fn heat_slope(channel: u8, it: &Heat) -> Made<Effect<'static>> {
     let most = f64::from(i32::MAX) / FINE_PER_UM / HEAT_SLOPE_M / CHECKED_K;
     if it.um_per_c.abs() > most {
         return Err(format!("{} µm/(m·K) is beyond the board's ±{most:.0}", it.um_per_c));
     }
     let (per_temperature, reference, nm) = by_heat(it, HEAT_SLOPE_M)?;
-    let smoothing = lag::smoothing_factor(it.time_constant_s)?.at_most(SmoothingFactor::ONE_SECOND);
+    let smoothing = lag::smoothing_factor(it.time_constant_s)?;
     Ok((Effect::HeatSlope { channel, smoothing, reference, per_temperature }, nm))
 }
 

@@ -93,7 +93,7 @@ table! {
         /// P₀.
         origin_mm: f64 = key(Number, "mm", "where the proportional part is 0").or("0.0");
         /// 0: no lag.
-        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; on the board at least 1 s").or("0.0");
+        lag_s: f64 = key(NotNegative, "s", "time constant by which the axis follows the temperature; the board adds 1 s").or("0.0");
         /// K₀ and tanβ over T; at least one row.
         table: Option<Vec<ThermalRow>> = key(Rows, "°C, µm, µm/m", "rows of temperature, constant and slope in the place of the two constants; linear between, temperatures rising").as_in("[[20.0, 0.0, 0.0], [40.0, 21.0, 230.0]]");
     }

@@ -1,0 +1,148 @@
+//! The staircase of the loop again and again, without LinuxCNC: by how much its backlash goes up and down from run to run.
+//!
+//! The board's own code and the machine of the loop, with other noise of the thermometers and of the sensor each time. Two
+//! machine files: the one that was measured, and the same with the backlash that the machine has. So what the
+//! measurement of the width costs and what the noise of the instruments costs are apart.
+
+use anyhow::{Context as _, Result};
+use trueup_core::{
+    bridge::{Bridge, Input, State},
+    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Rotary},
+    units::{MicroDegrees, Millis, Position, Rpm},
+};
+use trueup_machine::{Machine, compile};
+use trueup_twin::{
+    axes::AxisName,
+    machine::{self, Machine as Twin},
+};
+use trueup_virtual_bridge::{front_end::FrontEnd, replay};
+
+use super::{
+    config::{STAIR_DWELL_S, STAIRS_FEED, STAIRS_MM},
+    measured::{self, LOOP_SEED, Measured},
+};
+use crate::programs;
+
+/// A millisecond, as a servo cycle has it.
+const CYCLE_S: f64 = 1e-3;
+/// Cycles at the end of a dwell over which the error is averaged, as in the loop.
+const MEAN: usize = 50;
+/// The staircase is gone through this often. The last time counts: the screw is as warm as in the loop then.
+const TIMES: usize = 2;
+const NANOMETRES_PER_MM: f64 = 1e6;
+
+/// The heights of the staircase with the cycle in which each is reached and left.
+struct Path {
+    z_mm: Vec<f64>,
+    dwells: Vec<(f64, bool, usize)>,
+}
+
+impl Path {
+    fn new() -> Self {
+        let (mut z_mm, mut dwells, mut at_mm) = (vec![], vec![], 0.0);
+        let step_mm = STAIRS_FEED / 60.0 * CYCLE_S;
+        let turn = STAIRS_MM[STAIRS_MM.len() - 1] + 40.0;
+        let stairs =
+            || STAIRS_MM.iter().chain(std::iter::once(&turn)).chain(STAIRS_MM.iter().rev());
+        for &next_mm in (0..TIMES).flat_map(|_| stairs()) {
+            let steps = ((next_mm - at_mm).abs() / step_mm).ceil();
+            z_mm.extend((1..=steps as usize).map(|n| at_mm + (next_mm - at_mm) * n as f64 / steps));
+            z_mm.extend(vec![next_mm; (STAIR_DWELL_S / CYCLE_S) as usize]);
+            dwells.push((next_mm, next_mm > at_mm, z_mm.len()));
+            at_mm = next_mm;
+        }
+        Self { z_mm, dwells }
+    }
+}
+
+/// What is left of the backlash in a run, in percent less than without compensation, as the loop states it.
+fn reduction_percent(bridge: &Bridge<'_>, file: &Machine, path: &Path, seed: u64) -> Result<f64> {
+    let scenario = measured::twin()?;
+    let mut with = Twin::new(&scenario, seed);
+    let mut without = with.clone();
+    let inputs = file.inputs.as_ref().context("the machine file has its inputs")?;
+    let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
+    let mut front_end = FrontEnd::new(sensor.divider, seed);
+    let (mut state, mut offset_mm) = (State::default(), 0.0);
+    let mut errors: Vec<[f64; 2]> = Vec::with_capacity(path.z_mm.len());
+    let (mut now, mut before_mm) = (Millis(0), [0.0; 3]);
+    for &z_mm in &path.z_mm {
+        bridge.receive(&mut state, Command::Control(Control::ENGAGED));
+        bridge.receive(&mut state, Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] }));
+        for (axis, mm) in LinearAxis::ALL.into_iter().zip([0.0, 0.0, z_mm]) {
+            let position = Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32);
+            let direction = match mm - before_mm[axis as usize] {
+                way if way > 0.0 => Heading::Positive,
+                way if way < 0.0 => Heading::Negative,
+                _ => Heading::Standing,
+            };
+            before_mm[axis as usize] = mm;
+            bridge
+                .receive(&mut state, Command::Position(AxisPosition { axis, position, direction }));
+        }
+        let celsius = with.temperatures_c().into_iter();
+        let celsius = celsius.map(|(name, it)| (name.to_owned(), it)).collect();
+        let temperatures = replay::raw_temperatures(&inputs.temperatures, &celsius);
+        let volts = with.sensor_volts().context("the machine has a sensor")?;
+        let codes = front_end.block(|_| volts);
+        now = now.after(1);
+        let input =
+            Input { codes: Some(&codes), speed: Some(Rpm(0)), temperatures: Some(&temperatures) };
+        let output = bridge.tick(&mut state, now, input);
+        offset_mm = output.offset.map_or(offset_mm, |[_, _, z]| f64::from(z.0) / NANOMETRES_PER_MM);
+        let driven =
+            |z_mm| machine::Command { position_mm: [0.0, 0.0, z_mm], ..Default::default() };
+        with.step(CYCLE_S, &driven(z_mm + offset_mm));
+        without.step(CYCLE_S, &driven(z_mm));
+        errors.push([without.tip_error_um()[2], with.tip_error_um()[2] + offset_mm * 1e3]);
+    }
+    let of_last = &path.dwells[path.dwells.len() / TIMES * (TIMES - 1)..];
+    let mean = |end: usize, of: usize| {
+        errors[end - MEAN..end].iter().map(|both| both[of]).sum::<f64>() / MEAN as f64
+    };
+    let largest = |of: usize| {
+        let width = |z_mm: f64| {
+            let at =
+                |up| of_last.iter().find(|it| it.0 == z_mm && it.1 == up).map(|it| mean(it.2, of));
+            at(true).zip(at(false)).map_or(f64::NAN, |(below, above)| (above - below).abs())
+        };
+        STAIRS_MM.into_iter().map(width).fold(0.0, f64::max)
+    };
+    Ok(100.0 * (1.0 - largest(1) / largest(0)))
+}
+
+/// Goes through the staircase `count` times with each machine file, and prints the reductions.
+///
+/// # Errors
+/// The machine cannot be measured.
+pub fn print(count: u64) -> Result<()> {
+    let trueup = programs::trueup()?;
+    let work = tempfile::tempdir()?;
+    let measured: Measured = measured::measure(&trueup, work.path())?;
+    let mut exact = measured.machine.clone();
+    let width_um = &mut exact.axes[2].backlash.as_mut().context("Z has its backlash")?.width_um;
+    let of_machine_um = measured::twin()?.axis[&AxisName::Z].backlash_um;
+    let as_measured_um = std::mem::replace(width_um, of_machine_um);
+    let path = Path::new();
+    for (name, file) in [
+        (format!("width as measured, {as_measured_um:.2} um"), &measured.machine),
+        (format!("width of the machine, {of_machine_um:.2} um"), &exact),
+    ] {
+        let compiled = compile(file)?;
+        let bridge = Bridge::new(compiled.calibration());
+        let mut all: Vec<f64> = (0..count)
+            .map(|n| reduction_percent(&bridge, file, &path, LOOP_SEED + n))
+            .collect::<Result<_>>()?;
+        all.sort_by(f64::total_cmp);
+        let at = |share: f64| all[((all.len() - 1) as f64 * share).round() as usize];
+        trueup_output::line(format_args!(
+            "{name}: {count} runs, least {:.2} %, 5 % below {:.2} %, half below {:.2} %, 95 % below {:.2} %, largest {:.2} %",
+            at(0.0),
+            at(0.05),
+            at(0.5),
+            at(0.95),
+            at(1.0),
+        ));
+    }
+    Ok(())
+}
