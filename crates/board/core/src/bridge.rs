@@ -380,7 +380,7 @@ impl<'a> Bridge<'a> {
             let limit = self.needs.rates.get(number).copied().unwrap_or_default();
             let believed = state.channels.receive_within(number, reading, &limit);
             if let Some(steady) = state.steady.get_mut(number) {
-                steady.follow(believed, thermometer.step());
+                steady.follow(believed, thermometer.dead_band());
             }
         }
     }

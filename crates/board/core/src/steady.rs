@@ -5,8 +5,8 @@
 //! with backlash does not follow what turns round within it: the tool stays where the farthest of the offsets put it.
 //!
 //! Two measures, each for what the other leaves. A time constant of 1 s leaves a ninth of a step of it (standard
-//! deviation, a reading at the edge), and a dead band of a quarter of a step each way holds the temperature while what is
-//! smoothed stays within it. They cost 8 mK where the temperature turns round (0.09 µm/m of steel) and 1 s of its change
+//! deviation, a reading at the edge), and a [dead band](crate::thermometer::Thermometer::dead_band) of a quarter of a step
+//! each way holds the temperature while what is smoothed stays within it. They cost 8 mK where the temperature turns round (0.09 µm/m of steel) and 1 s of its change
 //! (0.2 µm/m where a screw warms by 1 K/min).
 
 use crate::{
@@ -31,9 +31,9 @@ struct Known {
 }
 
 impl SteadyTemperature {
-    /// Follows a reading, one in 100 ms, of a converter with steps of `step`. `None`: the thermometer is lost, and the next
-    /// reading is the first one.
-    pub fn follow(&mut self, reading: Option<Temperature>, step: Temperature) {
+    /// Follows a reading, one in 100 ms, to within `dead_band` of what is smoothed. `None`: the thermometer is lost, and the
+    /// next reading is the first one.
+    pub fn follow(&mut self, reading: Option<Temperature>, dead_band: Temperature) {
         let Some(now) = reading else {
             self.known = None;
             return;
@@ -41,8 +41,8 @@ impl SteadyTemperature {
         match &mut self.known {
             Some(Known { smoothed, held }) if smoothed.value().abs_diff(now.0) <= MAX_JITTER => {
                 smoothed.step(now.0, SmoothingFactor::ONE_SECOND);
-                let (value, quarter) = (smoothed.value(), step.0 / 4);
-                let [least, most] = [value.saturating_sub(quarter), value.saturating_add(quarter)];
+                let (value, within) = (smoothed.value(), dead_band.0);
+                let [least, most] = [value.saturating_sub(within), value.saturating_add(within)];
                 held.0 = held.0.max(least).min(most);
             }
             known => *known = Some(Known { smoothed: Lag::settled(now.0), held: now }),
@@ -64,11 +64,12 @@ mod tests {
 
     /// 1/32 K, as of a MAX31865.
     const STEP: Temperature = Temperature(Temperature::PER_KELVIN / 32);
+    const DEAD_BAND: Temperature = Temperature(STEP.0 / 4);
 
     fn followed(readings: impl Iterator<Item = i32>) -> Vec<i32> {
         let mut steady = SteadyTemperature::default();
         let mut follow = |reading| {
-            steady.follow(Some(Temperature(reading)), STEP);
+            steady.follow(Some(Temperature(reading)), DEAD_BAND);
             steady.temperature().unwrap().0
         };
         readings.map(&mut follow).collect()
@@ -110,13 +111,13 @@ mod tests {
     fn what_is_far_off_is_followed_at_once_and_what_is_lost_begins_anew() {
         let mut steady = SteadyTemperature::default();
         let warm = Temperature(20 * Temperature::PER_KELVIN);
-        steady.follow(Some(Temperature(-100 * Temperature::PER_KELVIN)), STEP);
-        steady.follow(Some(warm), STEP);
+        steady.follow(Some(Temperature(-100 * Temperature::PER_KELVIN)), DEAD_BAND);
+        steady.follow(Some(warm), DEAD_BAND);
         assert_eq!(steady.temperature(), Some(warm));
-        steady.follow(None, STEP);
+        steady.follow(None, DEAD_BAND);
         assert_eq!(steady.temperature(), None);
         let near = Temperature(warm.0 + STEP.0);
-        steady.follow(Some(near), STEP);
+        steady.follow(Some(near), DEAD_BAND);
         assert_eq!(steady.temperature(), Some(near));
     }
 }

@@ -117,6 +117,17 @@ impl Thermometer {
         }
     }
 
+    /// Returns by how much its temperature may differ from what is followed, either way: a quarter of a step of a MAX31865,
+    /// twice what a time constant of 1 s leaves of it ([`steady`](crate::steady)). A linear chain delivers the mean of many
+    /// conversions, which has no steps.
+    #[must_use]
+    pub fn dead_band(&self) -> Temperature {
+        match *self {
+            Self::Pt100 => Temperature(self.step().0 / 4),
+            Self::Linear { .. } => Temperature(0),
+        }
+    }
+
     /// Returns the temperature that a delivery means.
     ///
     /// ```

@@ -3,22 +3,23 @@
 use super::heat::by_term;
 use super::*;
 extern crate std;
-use crate::{fixed::Scaled, term::Effect, testing::random};
+use crate::{fixed::Scaled, pt100, term::Effect, testing::random};
 use std::vec::Vec;
 
-/// As `expanding`, with a thermometer that counts 32 a kelvin.
-fn fine(mut machine: Calibration<'static>) -> Calibration<'static> {
-    machine.thermometers[3] = Some(Thermometer::Linear { zero: 0, slope: 500, shift: 0 });
+/// Returns the machine with a PT100 at a MAX31865.
+fn with_steps(mut machine: Calibration<'static>) -> Calibration<'static> {
+    machine.thermometers[3] = Some(Thermometer::Pt100);
     machine
 }
 
-/// Returns the offset of X at 2 m in each 100 ms of a minute in which the reading is now one count, now the next.
+/// Returns the offset of X at 2 m in each 100 ms of a minute in which the reading is now one step, now the next.
 fn offsets_nm(machine: Calibration<'static>) -> Vec<i32> {
     let mut rig = Rig::new(machine);
     let mut seed = 1;
     let mut step = || {
         let mut raw = [Raw::NONE; CHANNELS];
-        raw[3] = Raw((20 * 32 + 5 + (random(&mut seed) & 1).cast_signed()) * 256);
+        let steps = 20 * 32 + 5 + (random(&mut seed) & 1).cast_signed();
+        raw[3] = Raw(pt100::resistance(Temperature(steps * (Temperature::PER_KELVIN / 32))).0);
         for _ in 0..STEP_MS {
             rig.control(ENGAGED);
             rig.bridge.receive(
@@ -51,7 +52,7 @@ fn an_axis_does_not_go_to_and_fro_with_the_step_of_a_converter() {
     {
         *per_temperature = Scaled { mantissa: (by_kelvin * 2_f64.powi(24)) as i32, shift: 24 };
     }
-    for (machine, step_nm) in [(fine(expanding()), 6_250), (fine(term), 312)] {
+    for (machine, step_nm) in [(with_steps(expanding()), 6_250), (with_steps(term), 312)] {
         let all = offsets_nm(machine);
         let (least, most) = (all.iter().min().unwrap(), all.iter().max().unwrap());
         assert!((most - least) * 3 < step_nm, "{least} to {most} of {step_nm} nm");
