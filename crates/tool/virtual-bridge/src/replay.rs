@@ -352,8 +352,8 @@ pub fn raw_temperatures(
     delivered
 }
 
-/// Returns what a channel delivers at a temperature in °C, at the resolution of the board's input. A value
-/// beyond its integer delivers the end of it, which no channel takes for a temperature.
+/// Returns what a channel delivers at a temperature in °C. A PT100 has not the steps of its converter here. A value beyond
+/// its integer delivers the end of it, which no channel takes for a temperature.
 #[must_use]
 #[allow(clippy::cast_possible_truncation, reason = "a cast from f64 saturates")]
 pub fn raw(kind: TemperatureKind, celsius: f64) -> Raw {
