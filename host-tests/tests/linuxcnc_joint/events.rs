@@ -243,7 +243,7 @@ pub(crate) fn probing(rig: &mut Rig) -> Result<()> {
     assert!((probed[0] - probed[1] - 0.03).abs() <= 0.11e-3, "{probed:?}");
     assert!((probed[0] + 0.04 - SURFACE).abs() <= 0.21e-3, "{probed:?}");
     rig.check("probing")?;
-    macros(rig)
+    macros(&mut rig.cnc, 1.0)
 }
 
 /// Modes that a job may have left: units, work offset, tool length, `G92`, rotation.
@@ -256,33 +256,35 @@ const JOBS: [&str; 6] = [
     "G10 L2 P1 Z-2\nG20\nG43.1 Z0.05\nG92 Z1\nG91",
 ];
 
-/// A probed point lacks the offset: nothing is learned from it, and a touch-off takes nothing off it.
-fn macros(rig: &mut Rig) -> Result<()> {
-    let before = rig.cnc.pin("axis.z.pos-cmd")?;
-    rig.cnc.ask(&json!({"do": "stat"}))?;
-    rig.mdi(&format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;
-    let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+/// A probed point lacks the offset, 70 µm on Z: nothing is learned from it, and a touch-off takes nothing off it. `mm` are in
+/// a unit of the machine.
+pub(crate) fn macros(cnc: &mut Headless, mm: f64) -> Result<()> {
+    let mdi = |cnc: &mut Headless, text: &str| cnc.act("mdi", "text", text).map(drop);
+    let before = cnc.pin("axis.z.pos-cmd")?;
+    cnc.ask(&json!({"do": "stat"}))?;
+    mdi(cnc, &format!("o<trueup_probe> call [{SURFACE}] [1] [60]"))?;
+    let said = cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
     ensure!(said.contains("the offset enters at the joint"), "{said}");
-    let after = rig.cnc.pin("axis.z.pos-cmd")?;
+    let after = cnc.pin("axis.z.pos-cmd")?;
     assert!((before - after).abs() < 1e-6, "it does not move: {before} {after}");
     for job in JOBS {
         for line in job.lines() {
-            rig.mdi(line)?;
+            mdi(cnc, line)?;
         }
-        rig.cnc.ask(&json!({"do": "stat"}))?;
-        rig.mdi("o<trueup_touch_off> call [6] [300] [1]")?;
-        let said = rig.cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
-        rig.mdi("G21 G90")?;
-        rig.mdi("G1 Z3 F1200")?;
-        let z = rig.cnc.pin("axis.z.pos-cmd")?;
+        cnc.ask(&json!({"do": "stat"}))?;
+        mdi(cnc, "o<trueup_touch_off> call [6] [300] [1]")?;
+        let said = cnc.ask(&json!({"do": "stat"}))?["said"].to_string();
+        mdi(cnc, "G21 G90")?;
+        mdi(cnc, "G1 Z3 F1200")?;
+        let z = cnc.pin("axis.z.pos-cmd")? * mm;
         println!("{job:?}: touched off, Z3 is at {z:.5}");
         // The planner meets the surface with 70 um of offset; 5 mm/s and a servo cycle.
         assert!((z + 0.07 - SURFACE - 2.0).abs() <= 6e-3, "{job:?}: {z}: {said}");
-        rig.mdi("G21 G90 G17 G49 G92.1 G54")?;
+        mdi(cnc, "G21 G90 G17 G49 G92.1 G54")?;
         for system in [1, 2, 9] {
-            rig.mdi(&format!("G10 L2 P{system} X0 Y0 Z0 R0"))?;
+            mdi(cnc, &format!("G10 L2 P{system} X0 Y0 Z0 R0"))?;
         }
-        rig.mdi("G53 G0 Z0")?;
+        mdi(cnc, "G53 G0 Z0")?;
     }
     Ok(())
 }

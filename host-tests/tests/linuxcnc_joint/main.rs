@@ -225,6 +225,47 @@ fn offsets_at_the_joint_cost_nothing_and_survive_what_happens() -> Result<()> {
     rig.cnc.end()
 }
 
+/// The recipes for touching off, on a machine in inches.
+#[test]
+#[ignore = "long: the real LinuxCNC"]
+fn touching_off_at_the_joint_is_right_on_a_machine_in_inches() -> Result<()> {
+    const MM: f64 = 25.4;
+    let Some(control) = setup::linuxcnc()? else { return Ok(()) };
+    let mut text = INI.replace("UNITS = mm", "UNITS = inch");
+    for (joint, axis) in ["X", "Y", "Z"].iter().enumerate() {
+        let motion = in_inches(50.0);
+        text += &format!("[AXIS_{axis}]\n{motion}{}", home_at_once(joint, &motion));
+    }
+    let bridge = FakeBridge::start()?;
+    let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
+    cnc.switch_on()?;
+    cnc.halcmd(&format!("setp probe.in1 {}", SURFACE / MM))?;
+    bridge.say([50.0, -20.0, 70.0]);
+    cnc.wait("the offset acts", 20, &["trueup-mv.offset-current-2", "trueup.0.applied"], |seen| {
+        (seen[0] * MM * 1e3 - 70.0).abs() < 0.02 && seen[1] == 1.0
+    })?;
+    events::macros(&mut cnc, MM)?;
+    cnc.end()
+}
+
+/// Returns an axis's lines of motion within ± `mm`, in inches.
+fn in_inches(mm: f64) -> String {
+    const MM: f64 = 25.4;
+    format!(
+        "MIN_LIMIT = {}\nMAX_LIMIT = {}\nMAX_VELOCITY = {}\nMAX_ACCELERATION = {}\n",
+        -mm / MM,
+        mm / MM,
+        MAX_VELOCITY / MM,
+        MAX_ACCELERATION / MM
+    )
+}
+
+/// Returns a joint that is at home where it is.
+fn home_at_once(joint: usize, motion: &str) -> String {
+    let home = "HOME_SEARCH_VEL = 0\nHOME_LATCH_VEL = 0\nHOME = 0\nHOME_SEQUENCE = 0\n";
+    format!("[JOINT_{joint}]\nTYPE = LINEAR\nFERROR = 1\nMIN_FERROR = 1\n{motion}{home}")
+}
+
 /// In inches, with a second joint of Y.
 #[test]
 #[ignore = "long: the real LinuxCNC"]
@@ -236,18 +277,12 @@ fn both_joints_of_a_gantry_in_inches_get_the_offset_of_their_axis() -> Result<()
         .replace("UNITS = mm", "UNITS = inch")
         .replace("X Y Z", "XYYZ")
         .replace("trivkins\nJOINTS = 3", "trivkins coordinates=XYYZ\nJOINTS = 4");
-    let motion = format!(
-        "MIN_LIMIT = -2\nMAX_LIMIT = 2\nMAX_VELOCITY = {}\nMAX_ACCELERATION = {}\n",
-        MAX_VELOCITY / MM,
-        MAX_ACCELERATION / MM
-    );
+    let motion = in_inches(50.0);
     for axis in ["X", "Y", "Z"] {
         text += &format!("[AXIS_{axis}]\n{motion}");
     }
     for joint in 0..4 {
-        let home = "HOME_SEARCH_VEL = 0\nHOME_LATCH_VEL = 0\nHOME = 0\nHOME_SEQUENCE = 0\n";
-        text +=
-            &format!("[JOINT_{joint}]\nTYPE = LINEAR\nFERROR = 1\nMIN_FERROR = 1\n{motion}{home}");
+        text += &home_at_once(joint, &motion);
     }
     let bridge = FakeBridge::start()?;
     let mut cnc = stock(control, &text, "joint", SLEW, &bridge)?;
