@@ -154,6 +154,15 @@ enum Command {
     /// Counts circles of files, long files and functions, dependencies on higher layers, and the words of documents;
     /// fails above the limits.
     Structure,
+    /// Draws names of the source at random, for a reader who judges whether each is the field's term.
+    Names {
+        /// How many.
+        #[arg(long, default_value_t = 60)]
+        count: usize,
+        /// The same names again.
+        #[arg(long)]
+        seed: Option<u64>,
+    },
     /// Makes the Debian package of the host tool, in target/debian.
     Deb {
         /// Then installs it into an empty Debian, uses the tool there, and removes it; as root, with debootstrap.
@@ -296,6 +305,7 @@ fn main() -> ExitCode {
         Command::Volumes { volumes, first, law } => campaign::volumes(volumes, first, &law),
         Command::VolumeBoard { poses } => campaign::volume_board(poses),
         Command::Soak { ticks, seed } => campaign::soak(ticks, seed),
+        Command::Names { count, seed } => print_names(count, seed.unwrap_or_else(any_seed)),
         Command::Structure => {
             structure::check(&setup::root()).map(|report| trueup_output::line(report.trim_end()))
         }
@@ -410,6 +420,15 @@ fn run_chip(mut options: Vec<String>) -> Result<()> {
     }
     if !chip::show(&model, &image, &options)? {
         bail!("the report has a violation: the chip would not do what the image asks");
+    }
+    Ok(())
+}
+
+fn print_names(count: usize, seed: u64) -> Result<()> {
+    let (names, of) = structure::names::drawn(&setup::root(), count, seed)?;
+    trueup_output::line(format_args!("{count} of {of} names, --seed {seed}"));
+    for structure::names::Name { kind, name, place } in names {
+        trueup_output::line(format_args!("{kind:<7} {name:<40} {place}"));
     }
     Ok(())
 }

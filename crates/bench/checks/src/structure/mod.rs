@@ -12,6 +12,7 @@ mod ignored;
 mod language;
 mod layers;
 mod modules;
+pub mod names;
 mod source;
 mod thresholds;
 
