@@ -11,13 +11,16 @@
 //!   approached from below, backlash the largest |from above − from below| at a height.
 //! * Warm-up: the largest change of the error along the tool since its start.
 //! * Five axes: the largest length of the whole error vector, against the growth.
-//! * Lag τ: the delay at which the variance of offset(t) + error(t − τ) is least along the diagonal,
-//!   error(t) being the uncompensated one. It holds everything between the place where the joint is
-//!   and the offset that is applied there. It is taken on Y, which has no backlash that the offset
-//!   could cross, and holds for all axes.
+//! * Lag τ: the delay at which the variance of offset(t) − asked(t − τ) is least along the diagonal,
+//!   asked(t) being what the machine file asks for where the joint is commanded (`on_host`). It holds everything
+//!   between that place and the offset that is applied there. It is taken on Y, which has no thermal law and no
+//!   backlash that the offset could cross, and holds for all axes.
+
+use std::path::Path;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use serde::Serialize;
+use trueup_machine::MachineFile;
 
 mod measure;
 
@@ -30,6 +33,7 @@ use measure::{
 use super::{
     By, COMPRESSION, On, PASSES, WARM_UP_S, Way, adapter,
     config::{OFFSET_AV_RATIO, phase},
+    on_host,
     plant::{Account, Cycle},
 };
 
@@ -58,9 +62,6 @@ pub struct Run {
     /// The log of the board.
     pub log: Vec<String>,
 }
-
-/// At the joint the estimate of the lag says nothing: it is found from the rest of the error, which moves it by more.
-pub const NO_MEASUREMENT: &str = "At the joint this lag is no measurement: the error that the machine file leaves moves it by some milliseconds.";
 
 /// One claim and what came of it.
 #[derive(Clone, Debug, Serialize)]
@@ -287,7 +288,8 @@ impl Figures {
         };
         let [before, after] = [part(0, phase::DIAGONAL)?, part(1, phase::DIAGONAL)?];
         let diagonal = Across { before_um: across(&before), after_um: across(&after) };
-        let lag = lag(&after)?;
+        let file = MachineFile::parse(&run.machine_file, Path::new("extended.toml"))?;
+        let lag = lag(&after, &on_host::asked_um(&file, &after)?)?;
         let [arc_before, arc_after] = [part(0, phase::ARC)?, part(1, phase::ARC)?];
         let stairs = stairs(&part(0, phase::STAIRS)?, &part(1, phase::STAIRS)?)
             .with_context(|| format!("{} cycles are not recorded", run.account.lost_samples))?;
@@ -386,12 +388,8 @@ impl Figures {
             );
         }
         let Lag { worst_ms, steepest_um_per_mm, costs_um_at_10_m_per_min, .. } = self.lag;
-        let estimate = match self.way.by {
-            By::Joint => format!("{NO_MEASUREMENT}\n"),
-            By::Eoffset => String::new(),
-        };
         text + &format!(
-            "\n{estimate}The lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
+            "\nThe lag is {:.1} ms over the diagonal, {worst_ms:.1} ms in its worst two seconds. Where the \
              error is steepest\n({steepest_um_per_mm:.3} um/mm) it costs {costs_um_at_10_m_per_min:.2} um at \
              10 m/min.\nThe arc: {:.1} -> {:.1} um radially, {:.1} -> {:.1} um on Z.\n\
              A second in motion took {} of the wall. Two hours of warm-up took {:.0} s, {:.0} times as fast;\n\

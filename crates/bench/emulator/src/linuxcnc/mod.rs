@@ -42,6 +42,7 @@ pub mod figures;
 pub mod headless;
 mod left_over;
 pub mod measured;
+mod on_host;
 pub mod page;
 pub mod plant;
 pub mod repeat;

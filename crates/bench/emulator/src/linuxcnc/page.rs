@@ -4,7 +4,7 @@ use trueup_page::{Chart, Colour, Page, Series, Table, micrometres};
 
 use super::{
     By, On,
-    figures::{Check, ErrorCurve, Figures, NO_MEASUREMENT, Stair},
+    figures::{Check, ErrorCurve, Figures, Stair},
 };
 
 /// Returns the page.
@@ -142,8 +142,7 @@ fn of_lag(figures: &Figures) -> String {
         ),
         By::Joint => "the limits of the offset at the joint".into(),
     };
-    let estimate = if figures.way.by == By::Joint { NO_MEASUREMENT } else { "" };
-    format!("The lag contains: {way_there}, and {at_last}. {estimate}")
+    format!("The lag contains: {way_there}, and {at_last}.")
 }
 
 fn compressed(figures: &Figures) -> String {

@@ -5,21 +5,16 @@
 //! measurement of the width costs and what the noise of the instruments costs are apart.
 
 use anyhow::{Context as _, Result};
-use trueup_core::{
-    bridge::{Bridge, Input, State},
-    cnc::{AxisPosition, Command, Control, Heading, LinearAxis, Rotary},
-    units::{MicroDegrees, Millis, Position, Rpm},
-};
-use trueup_machine::{Machine, compile};
+use trueup_machine::{Compiled, Machine, compile};
 use trueup_twin::{
     axes::AxisName,
     machine::{self, Machine as Twin},
 };
-use trueup_virtual_bridge::{front_end::FrontEnd, replay};
 
 use super::{
     config::{STAIR_DWELL_S, STAIRS_FEED, STAIRS_MM},
     measured::{self, LOOP_SEED, Measured},
+    on_host::OnHost,
 };
 use crate::programs;
 
@@ -29,7 +24,6 @@ const CYCLE_S: f64 = 1e-3;
 const MEAN: usize = 50;
 /// The staircase is gone through this often. The last time counts: the screw is as warm as in the loop then.
 const TIMES: usize = 2;
-const NANOMETRES_PER_MM: f64 = 1e6;
 
 /// The heights of the staircase with the cycle in which each is reached and left.
 struct Path {
@@ -56,40 +50,19 @@ impl Path {
 }
 
 /// What is left of the backlash in a run, in percent less than without compensation, as the loop states it.
-fn reduction_percent(bridge: &Bridge<'_>, file: &Machine, path: &Path, seed: u64) -> Result<f64> {
+fn reduction_percent(compiled: &Compiled, file: &Machine, path: &Path, seed: u64) -> Result<f64> {
     let scenario = measured::twin()?;
     let mut with = Twin::new(&scenario, seed);
     let mut without = with.clone();
-    let inputs = file.inputs.as_ref().context("the machine file has its inputs")?;
-    let sensor = inputs.sensor.as_ref().context("the machine file has a sensor")?;
-    let mut front_end = FrontEnd::new(sensor.divider, seed);
-    let (mut state, mut offset_mm) = (State::default(), 0.0);
+    let mut bridge = OnHost::new(compiled, file, seed)?;
+    let mut offset_mm = 0.0;
     let mut errors: Vec<[f64; 2]> = Vec::with_capacity(path.z_mm.len());
-    let (mut now, mut before_mm) = (Millis(0), [0.0; 3]);
     for &z_mm in &path.z_mm {
-        bridge.receive(&mut state, Command::Control(Control::ENGAGED));
-        bridge.receive(&mut state, Command::Rotary(Rotary { angles: [MicroDegrees(0); 2] }));
-        for (axis, mm) in LinearAxis::ALL.into_iter().zip([0.0, 0.0, z_mm]) {
-            let position = Position((mm * f64::from(Position::PER_MILLIMETRE)).round() as i32);
-            let direction = match mm - before_mm[axis as usize] {
-                way if way > 0.0 => Heading::Positive,
-                way if way < 0.0 => Heading::Negative,
-                _ => Heading::Standing,
-            };
-            before_mm[axis as usize] = mm;
-            bridge
-                .receive(&mut state, Command::Position(AxisPosition { axis, position, direction }));
-        }
         let celsius = with.temperatures_c().into_iter();
         let celsius = celsius.map(|(name, it)| (name.to_owned(), it)).collect();
-        let temperatures = replay::raw_temperatures(&inputs.temperatures, &celsius);
         let volts = with.sensor_volts().context("the machine has a sensor")?;
-        let codes = front_end.block(|_| volts);
-        now = now.after(1);
-        let input =
-            Input { codes: Some(&codes), speed: Some(Rpm(0)), temperatures: Some(&temperatures) };
-        let output = bridge.tick(&mut state, now, input);
-        offset_mm = output.offset.map_or(offset_mm, |[_, _, z]| f64::from(z.0) / NANOMETRES_PER_MM);
+        let offset = bridge.step([0.0, 0.0, z_mm], volts, &celsius);
+        offset_mm = offset.map_or(offset_mm, |[_, _, z_mm]| z_mm);
         let driven =
             |z_mm| machine::Command { position_mm: [0.0, 0.0, z_mm], ..Default::default() };
         with.step(CYCLE_S, &driven(z_mm + offset_mm));
@@ -129,9 +102,8 @@ pub fn print(count: u64) -> Result<()> {
         (format!("width of the machine, {of_machine_um:.2} um"), &exact),
     ] {
         let compiled = compile(file)?;
-        let bridge = Bridge::new(compiled.calibration());
         let mut all: Vec<f64> = (0..count)
-            .map(|n| reduction_percent(&bridge, file, &path, LOOP_SEED + n))
+            .map(|n| reduction_percent(&compiled, file, &path, LOOP_SEED + n))
             .collect::<Result<_>>()?;
         all.sort_by(f64::total_cmp);
         let at = |share: f64| all[((all.len() - 1) as f64 * share).round() as usize];

@@ -134,15 +134,13 @@ pub(super) fn stairs(before: &[&Cycle], after: &[&Cycle]) -> Result<Vec<Stair>> 
 /// The axis on which the lag is taken: Y.
 const LAG_AXIS: usize = 1;
 
-/// Returns the delay, in cycles, at which offset and error cancel best; and how many µm/s the error changes
-/// by (RMS).
-fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
+/// Returns the delay, in cycles, at which the offset is what the machine file asks for; and how many µm/s that changes by (RMS).
+fn delay(cycles: &[(&Cycle, f64)]) -> Option<(f64, f64)> {
     const MAX: usize = 100;
     let left = |delay: usize| {
         let mut moments = (0.0, 0.0, 0.0);
         for n in MAX..cycles.len() {
-            let error_um = cycles[n - delay].without_um[LAG_AXIS];
-            let rest = cycles[n].eoffset_mm[LAG_AXIS] * 1e3 + error_um;
+            let rest = cycles[n].0.eoffset_mm[LAG_AXIS] * 1e3 - cycles[n - delay].1;
             moments = (moments.0 + 1.0, moments.1 + rest, moments.2 + rest * rest);
         }
         let (count, sum, squares) = moments;
@@ -160,18 +158,21 @@ fn delay(cycles: &[&Cycle]) -> Option<(f64, f64)> {
         }
         _ => best as f64,
     };
-    let change = |w: &[&Cycle]| w[20].without_um[LAG_AXIS] - w[0].without_um[LAG_AXIS];
+    let change = |w: &[(&Cycle, f64)]| w[20].1 - w[0].1;
     let speeds = cycles.windows(21).map(|w| change(w) / 0.02);
     let count = (cycles.len() - 20) as f64;
     let rms = (speeds.map(|speed| speed * speed).sum::<f64>() / count).sqrt();
     Some((refined, rms))
 }
 
-pub(super) fn lag(cycles: &[&Cycle]) -> Result<Lag> {
+/// Returns the lag of the offsets behind those that are asked for, in µm, at each of these cycles.
+pub(super) fn lag(cycles: &[&Cycle], asked_um: &[[f64; 3]]) -> Result<Lag> {
     const WINDOW: usize = 2_000;
     const MIN_UM_PER_S: f64 = 10.0;
-    let (mean_ms, _) = delay(cycles).context("the diagonal is too short")?;
-    let worst_ms = cycles
+    let asked_um = asked_um.iter().map(|um| um[LAG_AXIS]);
+    let both: Vec<(&Cycle, f64)> = cycles.iter().copied().zip(asked_um).collect();
+    let (mean_ms, _) = delay(&both).context("the diagonal is too short")?;
+    let worst_ms = both
         .chunks(WINDOW)
         .filter_map(delay)
         .filter(|(_, speed)| *speed > MIN_UM_PER_S)
@@ -294,7 +295,8 @@ mod tests {
     fn a_lag_is_found_and_priced() {
         for late in [0, 7, 40] {
             let cycles = diagonal(late);
-            let lag = lag(&cycles.iter().collect::<Vec<_>>()).expect("long enough");
+            let asked: Vec<_> = cycles.iter().map(|it| [0.0, -it.without_um[1], 0.0]).collect();
+            let lag = lag(&cycles.iter().collect::<Vec<_>>(), &asked).expect("long enough");
             assert!((lag.mean_ms - late as f64).abs() < 0.05, "{lag:?}");
             assert!((lag.worst_ms - late as f64).abs() < 0.05, "{lag:?}");
             // 100 µm over 800 mm: 0.125 µm/mm at the steepest, 0.1667 mm/ms at 10 m/min.
