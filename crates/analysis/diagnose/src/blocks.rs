@@ -6,7 +6,7 @@
 use std::{fmt, sync::Arc};
 
 use trueup_numerics::{
-    blocks::{Blocks, Paired, Reduction, stretches},
+    blocks::{Blocks, PARTS, Paired, Reduction, stretches},
     parallel::on_all_cores,
 };
 
@@ -50,8 +50,6 @@ impl fmt::Display for Unit {
     }
 }
 
-/// Stretches of a record: as many as a claim must gain on at least.
-const STRETCHES: usize = 6;
 /// Whole runs that are left out in turn, at least: of two, one would have to show all that the other is judged by.
 const MIN_RUNS: usize = 3;
 /// Stretches of equal length, next to those: one cut through a record may fall well or badly for a term, two of
@@ -81,13 +79,13 @@ impl Folds {
             (groups.first_row.iter().map(file_of).collect(), data.files, Unit::Files)
         } else if run_count >= fewest_runs {
             // Of many runs, several at once.
-            let folds = if run_count > 10 { STRETCHES } else { run_count };
+            let folds = if run_count > 10 { PARTS } else { run_count };
             let of = |run: usize| run * folds / run_count;
             (runs.into_iter().map(of).collect(), folds, Unit::Runs)
         } else if data.time_s.is_none() && count <= 50 {
             ((0..count).collect(), count, Unit::Readings)
         } else {
-            (eventful(&problem.measured, STRETCHES), STRETCHES, Unit::Stretches)
+            (eventful(&problem.measured, PARTS), PARTS, Unit::Stretches)
         };
         let otherwise = (unit == Unit::Stretches).then(|| (stretches(count, PLAIN), PLAIN));
         let blocks = Blocks::new(count, memory);
@@ -149,7 +147,7 @@ impl Folds {
     pub(crate) fn parts(&self) -> Vec<usize> {
         let groups = self.of_group.len();
         if self.unit == Unit::Readings {
-            return stretches(groups, STRETCHES.min(groups));
+            return stretches(groups, PARTS.min(groups));
         }
         self.of_group.clone()
     }

@@ -36,7 +36,9 @@ mod stepped;
 mod stretches;
 mod table;
 
+pub(crate) use channels::PAUSE_ROWS;
 pub(crate) use groups::Groups;
+pub(crate) use inputs::is_same;
 pub(crate) use lag::{filled, first_of};
 pub(crate) use quantity::quantity_of;
 pub(crate) use stated::Stated;

@@ -31,3 +31,7 @@ pub(crate) use jacobian::{jacobian, of_part};
 pub(crate) use problem::Problem;
 pub(crate) use solve::{Fitted, fit};
 pub(crate) use spread::{Spread, spread};
+
+/// The level of what is said: of intervals and regions, of a floor, and the power of what would have been found (fixed
+/// form of the answer).
+pub(crate) const LEVEL: f64 = 0.95;

@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// A law that settles this many times as fast, or as slowly, is another one.
-const ANOTHER_LAW: f64 = 2.0;
+pub(crate) const ANOTHER_LAW: f64 = 2.0;
 
 /// Terms and a constant, on top of what the machine file says.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -20,17 +20,21 @@ use std::fmt;
 
 use serde::Serialize;
 use trueup_machine::{BadInput, RunFile};
+use trueup_numerics::t_quantile;
 
-use crate::{data::Data, search::criterion::STRONG_EVIDENCE};
+use crate::{data::Data, fit::LEVEL, search::criterion::STRONG_EVIDENCE};
 use axis::AxisForesight;
 pub use axis::AxisRun;
 use candidates::candidates;
 use foresight::Foresight;
 use question::{Question, Separation};
 
-/// The expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
-/// is expected to be G scatters by 2√G, so that G − 1.645·2√G ≥ 6.
-const SUFFICES: f64 = 21.0;
+/// Returns the expected gap with which the measured one is strong evidence in 19 of 20 cases: a log likelihood ratio that
+/// is expected to be G scatters by 2√G, so that G − 2·z·√G is that much, z the one-sided quantile.
+fn suffices() -> f64 {
+    let z = t_quantile(LEVEL, f64::from(u16::MAX));
+    (z + (z * z + STRONG_EVIDENCE).sqrt()).powi(2)
+}
 
 /// A gap below this is nothing: what chance alone would make of one value.
 const ALIKE: f64 = 1.0;
@@ -215,7 +219,8 @@ pub(crate) fn next(
             let [one, other] = [a, b].map(|n| foreseen[*n].next.minutes);
             one.total_cmp(&other).then(gaps[*b].gap.total_cmp(&gaps[*a].gap))
         };
-        let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= SUFFICES).min_by(shorter);
+        let suffices = suffices();
+        let enough = (0..gaps.len()).filter(|n| gaps[*n].gap >= suffices).min_by(shorter);
         let most = (0..gaps.len()).max_by(|a, b| gaps[*a].gap.total_cmp(&gaps[*b].gap));
         let Some(most) = most else { continue };
         if gaps[most].gap < STRONG_EVIDENCE {

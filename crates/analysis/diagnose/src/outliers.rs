@@ -4,9 +4,16 @@
 
 use std::collections::HashMap;
 
-use trueup_numerics::robust::{chance_of_as_many, chance_of_noise, in_residual, median};
+use trueup_numerics::{
+    repeats::SIGNIFICANCE,
+    robust::{chance_of_as_many, chance_of_noise, in_residual, median},
+};
 
-use crate::{data::Data, repeats::Targets};
+use crate::{
+    data::{Data, PAUSE_ROWS},
+    repeats::Targets,
+    search::criterion::MAJORITY,
+};
 
 /// Rows that stand alone among the repeats of their place, by what `predicted` leaves.
 pub(crate) fn among_repeats(data: &Data, predicted: &[f64]) -> Vec<bool> {
@@ -31,9 +38,6 @@ pub(crate) fn gross(data: &Data, predicted: &[f64]) -> Vec<bool> {
     strays(data, predicted, &found)
 }
 
-/// Neighbours farther away in time than this many times the median say nothing of a reading.
-const NEAR: f64 = 2.0;
-
 /// The rows that are set aside.
 pub(crate) struct SetAside {
     pub rows: Vec<bool>,
@@ -52,12 +56,10 @@ pub(crate) enum Aside {
     Wrong,
 }
 
-/// Rows that noise would have by chance are set aside, which costs nothing; that readings are wrong is claimed
-/// at one in a thousand records of noise whose tails are exponential, heavier than normal ones.
-const CLAIM: f64 = 1e-3;
-/// A reading is of another moment if it is nearer to that one's prediction than this share of what it is away from
-/// its own: most of the way is then what happened between the two.
-const NEARER: f64 = 0.5;
+/// Chance of a record of noise that something is claimed of it. Rows that noise would have by chance are set aside, which
+/// costs nothing; that readings are wrong is claimed if noise whose tails are exponential, heavier than normal ones, has
+/// such readings less often.
+pub(crate) const CLAIM: f64 = 1e-3;
 /// Readings on each side of one that show its level.
 const ASIDE: usize = 3;
 
@@ -104,7 +106,8 @@ fn is_of_a_neighbour(data: &Data, row: usize, predicted: &[f64]) -> bool {
         return false;
     }
     let away_um = |other: usize| (data.measured[row] - predicted[other]).abs();
-    let is_nearer = |other: usize| away_um(other) < NEARER * away_um(row);
+    // The larger part of the way is then what happened between the two.
+    let is_nearer = |other: usize| away_um(other) < MAJORITY * away_um(row);
     let before = row.checked_sub(1).filter(|_| !data.restart[row]);
     let after = Some(row + 1).filter(|&it| it < data.rows && !data.restart[it]);
     before.into_iter().chain(after).any(is_nearer)
@@ -147,7 +150,7 @@ fn of_readings(data: &Data, aside: &[bool]) -> Vec<bool> {
     let typical_s = median(&mut inside.iter().map(|&row| elapsed_s(row)).collect::<Vec<f64>>());
     let follows = |row: usize| {
         inside.binary_search(&row).is_ok()
-            && elapsed_s(row) <= NEAR * typical_s
+            && elapsed_s(row) <= PAUSE_ROWS * typical_s
             && held.iter().all(|input| is_same(input, row))
     };
     (0..data.rows).map(|row| aside[row] && follows(row) && follows(row + 1)).collect()
@@ -182,7 +185,7 @@ fn keep_strays(found: &mut [bool], residual: &[f64], series: &[u32]) {
     let count = far.len() as f64;
     // m of n rows drawn by chance make m²/n pairs.
     let by_chance = same_side(&far, residual) * count * count / found.len().max(1) as f64;
-    if chance_of_as_many(pairs.len(), by_chance) < CHANCE {
+    if chance_of_as_many(pairs.len(), by_chance) < SIGNIFICANCE {
         for row in pairs {
             (found[row], found[row + 1]) = (false, false);
         }
@@ -214,7 +217,7 @@ fn keep_single_ones(found: &mut [bool], residual: &[f64], stops: &[(i64, bool)])
     let count = far.len() as f64;
     let by_chance = 0.5 * count * (count - 1.0) * sharing * same_side(&far, residual);
     // Where most rows stand at one stop, it tells nothing.
-    if sharing < 0.5 && chance_of_as_many(pairs.len(), by_chance) < CHANCE {
+    if sharing < 0.5 && chance_of_as_many(pairs.len(), by_chance) < SIGNIFICANCE {
         for (a, b) in pairs {
             (found[a], found[b]) = (false, false);
         }
@@ -227,9 +230,6 @@ fn same_side(far: &[usize], residual: &[f64]) -> f64 {
     let share = above / far.len().max(1) as f64;
     share * share + (1.0 - share) * (1.0 - share)
 }
-
-/// Neighbours are distinguished from chance at 1 %.
-const CHANCE: f64 = 0.01;
 
 /// Returns the instrument's last digit: the smallest step between readings, but for the rarest.
 fn last_digit(data: &Data, rows: &[usize]) -> f64 {

@@ -12,8 +12,9 @@ use trueup_machine::effect::{self, Nonlinear, Parameter};
 use trueup_numerics::{least_squares::normal, noise::Noise, t_quantile};
 
 use crate::{
-    fit::{Fitted, Problem, Spread, spread},
+    fit::{Fitted, LEVEL, Problem, Spread, spread},
     kind::Part,
+    model::ANOTHER_LAW,
     terms,
 };
 
@@ -39,7 +40,7 @@ pub(crate) fn estimates(
     let data = &problem.data;
     let spread = spread(problem, fitted, noise);
     let index = fitted.model.parts.iter().position(|there| there == part).unwrap_or(0);
-    let quantile = t_quantile(0.975, spread.freedom);
+    let quantile = t_quantile(0.5 + 0.5 * LEVEL, spread.freedom);
     let place = |value: usize| spread.row_of(index, value);
     let sd = |value: usize| {
         place(value).map_or(f64::NAN, |at| spread.covariance(at, at).max(0.0).sqrt())
@@ -113,8 +114,8 @@ pub(crate) fn estimates(
         let bound = problem.bounds.time_constant_s;
         if part.kind.has_time_constant() && part.kind.is_logarithmic(value) {
             let at_bound = part.values[value] > 0.95 * bound[1];
-            // Else it is not known how the next hours will be.
-            let is_known = high < KNOWN * low || problem.is_short(high);
+            // Else it is not known which law it is, nor how the next hours will be.
+            let is_known = high < ANOTHER_LAW * ANOTHER_LAW * low || problem.is_short(high);
             is_determined &= is_known && !at_bound;
         }
     }
@@ -180,12 +181,6 @@ fn reaches_nothing(part: &Part, intervals: &[[f64; 2]]) -> bool {
     sizes.iter().all(|size| holds(*size, 0.0))
 }
 
-/// Level of the region in which the values of a list are, all together: that of the intervals of single
-/// values.
-const REGION: f64 = 0.95;
-/// The ends of a time constant's interval lie within this factor: known to a factor of two either way.
-const KNOWN: f64 = 4.0;
-
 /// Returns whether a list (a table, a spline) may be nothing: whether 0 for all of its values is in their common
 /// region of 95 %, everything else of the model fitted with them.
 ///
@@ -215,7 +210,7 @@ fn list_may_be_nothing(part: &Part, index: usize, spread: &Spread) -> bool {
     normal::forward(&lower, &mut scaled);
     let count = count as f64;
     FisherSnedecor::new(count, spread.freedom)
-        .is_ok_and(|f| normal::dot(&scaled, &scaled) <= count * f.inverse_cdf(REGION))
+        .is_ok_and(|f| normal::dot(&scaled, &scaled) <= count * f.inverse_cdf(LEVEL))
 }
 
 fn put(map: &mut Map<String, Value>, name: &str, value: f64, mut ci95: [f64; 2]) {

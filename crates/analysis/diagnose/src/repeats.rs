@@ -12,7 +12,7 @@ use trueup_machine::{
     model::is_reverse,
 };
 use trueup_numerics::{
-    repeats::{Law, Reading, arrivals, gross, largest_variance, places},
+    repeats::{Law, Reading, SAME_PLACE, arrivals, gross, largest_variance, places},
     robust::median,
 };
 
@@ -158,13 +158,12 @@ impl Targets {
     /// Returns the points of a table: start, step and number. The places themselves where they are even, else as
     /// many points as each is known within twice the uncertainty of one reading at every place.
     fn grid(&self) -> Option<(f64, f64, usize)> {
-        /// Steps that differ by less are even: the targets may have been written in few digits.
-        const EVEN: f64 = 0.05;
         let (first, last) = (*self.at_mm.first()?, *self.at_mm.last()?);
         let with = |points: usize| (first, (last - first) / (points - 1) as f64, points);
         let even = with(self.at_mm.len());
         let mut steps = self.at_mm.windows(2).map(|pair| pair[1] - pair[0]);
-        if steps.all(|step| (step - even.1).abs() < EVEN * even.1) {
+        // Targets may have been written in few digits.
+        if steps.all(|step| (step - even.1).abs() < SAME_PLACE * even.1) {
             return Some(even);
         }
         let places = [0, 1].map(|side| self.places_of(side));

@@ -8,15 +8,16 @@ const DRAWS: usize = 400;
 /// Blocks for an interval: fewer draw too coarse a distribution, more are shorter than they need be.
 const MIN: usize = 8;
 /// Parts of a record: what is gained in one of them alone was seen once.
-const PARTS: usize = 6;
+pub const PARTS: usize = 6;
 /// Most blocks that a record is cut into.
 pub const MAX: usize = 40;
 /// Correlation times in a block, at least: then blocks are as good as independent.
-const CORRELATION_TIMES: f64 = 5.0;
+pub const CORRELATION_TIMES: f64 = 5.0;
 /// Standard errors by which one of two foresees better: the rule of one (Breiman 1984).
-const BETTER: f64 = 1.0;
-/// Standard errors that are beyond doubt, as 95 % go.
-const CERTAIN: f64 = 2.0;
+pub const BETTER: f64 = 1.0;
+/// Standard errors that are beyond doubt, as 95 % go; the coverage factor of an expanded uncertainty of 95 % (GUM 6.2:
+/// 1.96, rounded to 2).
+pub const CERTAIN: f64 = 2.0;
 
 /// Returns the number, from 0, of the stretch of each of `rows` rows that are cut into `stretches` of equal length.
 ///

@@ -24,10 +24,10 @@ mod table;
 #[cfg(test)]
 mod tests;
 
-pub use between::{Between, between};
+pub use between::{Between, MIN_R_SQUARED, between};
 pub use decide::{Decision, MIN_PLACES, Refusal, SIGNIFICANCE, Trial, decide, is_worse};
-pub use grid::largest_variance;
+pub use grid::{HARDLY, largest_variance};
 pub use gross::gross;
 pub use power::cycles_for;
-pub use reading::{Reading, arrivals, places};
+pub use reading::{Reading, SAME_PLACE, arrivals, places};
 pub use table::{Law, Table};

@@ -46,7 +46,7 @@ mod tests;
 pub use alone::standing_alone;
 pub use chance::{chance_of_as_many, chance_of_noise};
 pub use relation::{ROWS_A_COLUMN, in_relation};
-pub use residual::in_residual;
+pub use residual::{LARGEST_SHARE, in_residual};
 pub use series::{MIN_IN_SERIES, in_series};
 pub use statistics::median;
 pub use statistics::{GROSS, Outlier, cutoff};

@@ -27,7 +27,7 @@ use crate::{
 const NORMAL_C: [f64; 2] = [10.0, 30.0];
 /// How long a temperature takes over its range, in s: 20 K at 2 K a minute, as a spindle's front bearing does
 /// in the first minutes at its rated speed.
-const CHANGE_S: f64 = 600.0;
+pub const CHANGE_S: f64 = 600.0;
 /// After this many of its longest time constants a state has settled to a ten-thousandth.
 const SETTLED: f64 = 10.0;
 /// Times after the ramp, at equal ratios.

@@ -13,10 +13,11 @@ use std::{f64::consts::SQRT_2, ops::Range};
 use statrs::function::erf::erfc;
 
 /// The chance behaviour of a sound channel is believed down to this probability: one false alarm in a
-/// million channels for a step, whose tail is fitted, and one in 10⁹ for a run of equal values, for which
-/// the noise is taken to be white. A tenth or ten times of it is a step of 8 % further or nearer.
+/// million channels for a step, whose tail is fitted. A tenth or ten times of it is a step of 8 % further or nearer.
 const CHANCE_STEP: f64 = 1e-6;
-const CHANCE_RUN: f64 = 1e-9;
+/// And one in 10⁹ for a run of equal values, for which the noise is taken to be white, or for two channels that change
+/// alike.
+pub const CHANCE_RUN: f64 = 1e-9;
 /// IEC 60751: a platinum thermometer ends at −200 °C and at 850 °C, which is what an open or a shorted
 /// one shows.
 const ENDS_C: [f64; 2] = [-200.0, 850.0];

@@ -31,7 +31,7 @@ use crate::{
     data::Data,
     fit::{Fitted, Problem, fit},
     gain::Gain,
-    judge::Judgement,
+    judge::{IMITATION, Judgement},
     model::Model,
     search::{
         Found,
@@ -42,10 +42,6 @@ use crate::{
 
 /// The name of the cause.
 const CAUSE: &str = "applied-factor";
-
-/// Share of what a term does (RMS) that a factor may miss and still imitate it: the noise of a thermometer, which an
-/// offset does not have.
-const IMITATION: f64 = 0.05;
 
 /// The offsets of a bridge in the runs, and how they were applied.
 pub(crate) struct Bridge {

@@ -30,12 +30,9 @@ use crate::{
     search::Found,
 };
 
-/// This many rows of a day are looked at: a mean square of as many that are independent is known to 1 %.
+/// This many rows of a day are looked at, and noise is drawn into as many: a mean square of as many that are independent is
+/// known to 1 %.
 const MAX_ROWS: usize = 20_000;
-/// Noise is drawn into the inputs until there are this many rows of it, but not more often than
-/// [`MAX_DRAWS`]: the root of its mean square is known to 2 % then.
-const ENOUGH_ROWS: usize = 2_000;
-const MAX_DRAWS: usize = 4;
 
 /// The model that a promise is computed from, and its uncertainty.
 #[derive(Clone, Debug)]
@@ -114,7 +111,7 @@ impl Grounds {
         let data = day(table, &first)?;
         let models = [&Model::default(), &self.model];
         let as_it_was = models.map(|it| it.predict(&data));
-        let draws = (ENOUGH_ROWS / data.rows).clamp(1, MAX_DRAWS);
+        let draws = MAX_ROWS.div_ceil(data.rows);
         let mut noise = [0.0; 2];
         let mut generator = Generator::new(1);
         for _ in 0..draws {

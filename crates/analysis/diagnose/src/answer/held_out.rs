@@ -32,16 +32,16 @@ use crate::{
     blocks::Folds,
     columns::{SAID, named},
     data::{Data, filled},
-    fit::{Problem, fit},
+    fit::{LEVEL, Problem, fit},
     kind::Part,
     model::Model,
     predict::{Predicted, later_from},
 };
 
-/// One-sided: the share of days on which the floor is kept.
-const KEPT: f64 = 0.95;
-/// The rest of a record lies within its beginning up to this share of the range ([`crate::answer::worse`]).
-const BEYOND: f64 = 0.1;
+/// A column leaves what the runs covered where it is beyond their ends by more than a tenth of their
+/// range: so far a straight line that was fitted to it may be continued with a standard error that grows
+/// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
+pub(super) const BEYOND: f64 = 0.1;
 /// Readings from which a day's zero is set.
 const ZERO_READINGS: usize = 3;
 
@@ -201,9 +201,9 @@ impl Sums {
         });
         let scatter = (off.sum::<f64>() / (count - 1.0)).sqrt();
         let new_day = (1.0 / count + 1.0).sqrt();
-        let highest = ratio + t_quantile(KEPT, count - 1.0) * scatter / before * new_day;
+        let highest = ratio + t_quantile(LEVEL, count - 1.0) * scatter / before * new_day;
         let worst = later.iter().copied().fold(ratio, f64::max);
-        let another = of_new_day(worst, self.left.times_on_new_day(KEPT, noise));
+        let another = of_new_day(worst, self.left.times_on_new_day(LEVEL, noise));
         let highest = highest.max(self.worst_pair(noise)).max(another);
         // Of one part nothing is known.
         let floor = if count > 1.0 && highest.is_finite() { 1.0 - highest.sqrt() } else { -1.0 };

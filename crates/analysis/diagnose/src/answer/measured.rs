@@ -17,14 +17,9 @@ use crate::{
     fit::Problem,
     kind::Kind,
     model::Model,
+    predict::compact::MAX_TIMES,
 };
 
-/// A term does at most this many times what was measured: two terms of which each explains all and the other
-/// takes it back.
-const MAX_TIMES: f64 = 2.0;
-/// A prediction in a state that was not measured leaves the measured range by at most this many times its
-/// width.
-const MARGIN: f64 = 1.0;
 /// Of so little nothing is known to be wrong, in µm: the resolution of a dial gauge.
 const MIN_UM: f64 = 1.0;
 
@@ -128,7 +123,8 @@ impl<'m> Measured<'m> {
             .map(|state| state.um[number])
             .filter(|um| um.is_finite())
             .fold(self.range_um, |[low, high], um| [low.min(um), high.max(um)]);
-        let margin_um = MARGIN * (self.range_um[1] - self.range_um[0]).max(MIN_UM);
+        // As far beyond as the measured range is wide.
+        let margin_um = (self.range_um[1] - self.range_um[0]).max(MIN_UM);
         let outside = |um: f64| (low - margin_um - um).max(um - high - margin_um);
         let worst = states(extended, &self.ranges)
             .into_iter()

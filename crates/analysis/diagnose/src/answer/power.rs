@@ -14,31 +14,24 @@
 
 use std::{collections::BTreeSet, fmt};
 
+pub(super) use trueup_numerics::blocks::CERTAIN as COVERAGE;
 use trueup_numerics::{
     noise,
     noncentral_f::{noncentrality, power},
-    repeats::cycles_for,
+    repeats::{SIGNIFICANCE, cycles_for},
 };
 
 use crate::{
     answer::wandering::wanders,
     candidates::possible,
     data::Data,
-    fit::Problem,
+    fit::{LEVEL, Problem},
     search::{Found, scan::FALSE_ALARM, state::RELEVANT},
 };
 
-/// The chance with which an error is to be found: 95 %, as the intervals of the answer.
-const POWER: f64 = 0.95;
-/// The level of the test whether an error could be distinguished from noise: 1 %, as that of a table over its
-/// repeats (fixed form of the answer).
-const SIGNIFICANCE: f64 = 0.01;
 /// A term has mostly an amplitude and a time constant or a reference.
 const CONSTANTS: f64 = 2.0;
-/// The coverage factor of an expanded uncertainty of 95 % (GUM 6.2: 1.96, rounded to 2).
-pub(super) const COVERAGE: f64 = 2.0;
-/// ISO 230-2: five targets at the least, five cycles from both sides.
-const ISO_CYCLES: usize = 5;
+/// ISO 230-2: five targets at the least.
 const ISO_TARGETS: usize = 5;
 /// No longer record is considered.
 const MAX_ROWS: usize = 1_000_000;
@@ -102,11 +95,11 @@ impl Power {
         let is_found = |rows: f64| match known_um {
             Some(um) => power(SIGNIFICANCE, 1.0, f64::from(u16::MAX), rows * (matters_um / um).powi(2)),
             None => power(SIGNIFICANCE, 1.0, rows - 2.0, rows * ratio(matters_um, noise_um).powi(2)),
-        } >= POWER;
+        } >= LEVEL;
         let candidates = possible(problem, &found.fitted.model, &found.fitted.residual).len();
         let level = FALSE_ALARM / candidates.max(1) as f64;
         let independent = noise::effective_rows(found.noise, &groups.steps).min(count);
-        let lambda = noncentrality(POWER, level, CONSTANTS, independent - CONSTANTS - 1.0);
+        let lambda = noncentrality(LEVEL, level, CONSTANTS, independent - CONSTANTS - 1.0);
         // What takes away less than that is not worth a term.
         let least = ((1.0 - RELEVANT).powi(-2) - 1.0).sqrt();
         let found_um = noise_um * (lambda / independent).sqrt().max(least);
@@ -203,7 +196,7 @@ impl fmt::Display for Needed {
             ),
             Self::Calibration => write!(
                 f,
-                "measure by ISO 230-2: at least {ISO_TARGETS} positions over the travel, {ISO_CYCLES} \
+                "measure by ISO 230-2: at least {ISO_TARGETS} positions over the travel, five \
                  cycles, each position approached from both sides"
             ),
             Self::Record { rows, seconds: Some(seconds) } if *seconds >= 60.0 => write!(

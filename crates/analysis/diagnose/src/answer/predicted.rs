@@ -25,14 +25,11 @@ use crate::{
     kind::Kind,
     model::Model,
     predict::{Predicted, prediction},
-    search::{Found, start},
+    search::{Found, criterion::EQUAL_PREDICTION, start},
 };
 
 /// The most terms of a board.
 const MAX_TERMS: usize = 16;
-
-/// As harm on a hold-out: more than this times what the file leaves.
-const HARM: f64 = 1.05;
 
 /// The result of the choice of the written terms.
 #[derive(Default)]
@@ -78,7 +75,7 @@ impl Written {
         let goes_on = |foreseen: &Predicted| {
             foreseen.later.iter().all(|(first, left)| {
                 let [before, after] = [&left_by_file[*first..], &left[..]].map(rms);
-                after <= HARM * before
+                after <= EQUAL_PREDICTION * before
             })
         };
         let original = found.folds.held_out(on, &start(&on.data));

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use trueup_machine::{RunFile, envelope::InputRanges};
+use trueup_machine::{
+    RunFile,
+    envelope::{CHANGE_S, InputRanges},
+};
 
 use crate::{answer::range::extent, data::Data};
-
-/// The least time over which a change of temperature is looked at, and the least that a ramp takes, in s.
-const WINDOW_S: f64 = 600.0;
 
 /// Returns what was recorded of each input; of one that was not, 0.
 pub(super) fn recorded(data: &Data, runs: &[RunFile]) -> InputRanges {
@@ -22,7 +22,7 @@ pub(super) fn recorded(data: &Data, runs: &[RunFile]) -> InputRanges {
     InputRanges {
         temperatures_c,
         is_each_alone: true,
-        change_s: ramps.fold(f64::INFINITY, f64::min).clamp(WINDOW_S, 1e7),
+        change_s: ramps.fold(f64::INFINITY, f64::min).clamp(CHANGE_S, 1e7),
         speed_rpm: of("spindle_rpm"),
         load_n: of("load_n"),
         sensor_counts: of("sensor_counts"),
@@ -35,7 +35,8 @@ fn known(values: &[f64]) -> [f64; 2] {
     if range[0] <= range[1] { range } else { [0.0; 2] }
 }
 
-/// Returns how long a temperature takes over its range where it changes fastest, in s; `None` where nothing is known.
+/// Returns how long a temperature takes over its range where it changes fastest, but not faster than
+/// [`CHANGE_S`] shows, in s; `None` where nothing is known.
 fn ramp_s(data: &Data, values: &[f64]) -> Option<f64> {
     let time_s = data.time_s.as_deref()?;
     let [low, high] = known(values);
@@ -47,10 +48,10 @@ fn ramp_s(data: &Data, values: &[f64]) -> Option<f64> {
             start = row;
             continue;
         }
-        while start + 1 < row && time_s[row] - time_s[start + 1] >= WINDOW_S {
+        while start + 1 < row && time_s[row] - time_s[start + 1] >= CHANGE_S {
             start += 1;
         }
-        let elapsed_s = (time_s[row] - time_s[start]).max(WINDOW_S);
+        let elapsed_s = (time_s[row] - time_s[start]).max(CHANGE_S);
         let rate = (values[row] - values[start]).abs() / elapsed_s;
         if rate.is_finite() {
             fastest = fastest.max(rate);

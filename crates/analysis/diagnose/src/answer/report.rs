@@ -6,6 +6,7 @@ use serde::Serialize;
 use trueup_numerics::blocks::rms;
 
 use super::errors::largest;
+use crate::search::criterion::EQUAL_PREDICTION;
 
 pub use crate::gain::Gain;
 
@@ -194,12 +195,9 @@ impl HeldOut {
     }
 }
 
-/// A floor below which nothing is promised in figures.
-const VACUOUS: f64 = 0.05;
-
-/// Returns a promise in words.
+/// Returns a promise in words; a floor below which the file predicts no worse than the extended one is none.
 pub(crate) fn floor_and_expected(floor: f64, expected: f64) -> String {
-    if floor < VACUOUS {
+    if floor < EQUAL_PREDICTION - 1.0 {
         format!(
             "{:.0} % less expected, and no floor: the parts of the record differ too much",
             100.0 * expected

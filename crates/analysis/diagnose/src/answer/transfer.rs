@@ -17,12 +17,9 @@ use crate::{
     fit::{Problem, fit},
     kind::Kind,
     model::Model,
-    search::start,
+    search::{criterion::EQUAL_PREDICTION, start},
 };
 
-/// Harm: a hold-out becomes worse than this times what the machine file as it is leaves (RMS). The
-/// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).
-const HARM: f64 = 1.05;
 /// Values within this factor are the same but for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
@@ -61,7 +58,7 @@ impl Transfer {
         let left_um =
             |model: &Model| on_hold_out(test, model).max(on_hold_out(test, &compensated(model)));
         let found_um = left_um(&model);
-        if model.parts.is_empty() || found_um <= HARM * before_um {
+        if model.parts.is_empty() || found_um <= EQUAL_PREDICTION * before_um {
             return Self {
                 model,
                 dropped: Vec::new(),
@@ -90,8 +87,8 @@ impl Transfer {
             });
             // Nor may the runs become worse by what remains.
             let mends = |it: &Mended| {
-                it.left_um <= HARM * before_um
-                    && rms(&problem.residual(&it.model)) <= HARM * runs_before_um
+                it.left_um <= EQUAL_PREDICTION * before_um
+                    && rms(&problem.residual(&it.model)) <= EQUAL_PREDICTION * runs_before_um
             };
             let mended = tried.into_iter().flatten().filter(mends);
             mended.min_by(|a, b| a.left_um.total_cmp(&b.left_um))

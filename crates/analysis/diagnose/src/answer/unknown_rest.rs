@@ -12,13 +12,9 @@ use crate::{
     answer::power::COVERAGE,
     data::Data,
     repeats::{REPEATABLE_UM, Repeats, SAME_MM},
+    search::criterion::MAJORITY,
 };
 
-/// With more than this share of the error left the names may stand for another law.
-const MOST: f64 = 0.5;
-/// Steps from reading to reading have this many times the variance of the positions, or more: half of the 2 of positions
-/// in random order (von Neumann's ratio), where a pass has nearly 0.
-const SCATTERED: f64 = 1.0;
 /// Second readings from which a scatter is known: to a third, by its χ² with five degrees of freedom.
 const MIN_SECOND: usize = 5;
 
@@ -29,7 +25,7 @@ pub(crate) struct UnknownRest {
     left_um: f64,
     /// The standard deviation of the gauge in µm, where that is known: then the rest is the machine's.
     gauge_um: Option<f64>,
-    /// Whether it is most of the error.
+    /// Whether it is most of the error: the names may stand for another law.
     pub is_most: bool,
 }
 
@@ -52,19 +48,20 @@ impl UnknownRest {
         (left_um > REPEATABLE_UM && !is_explained).then_some(Self {
             left_um,
             gauge_um,
-            is_most: left_um > MOST * before_um,
+            is_most: left_um > MAJORITY * before_um,
         })
     }
 }
 
-/// Returns whether positions come in no order, so that neighbouring rows are no neighbours.
+/// Returns whether positions come in no order, so that neighbouring rows are no neighbours: the mean square of a step is at
+/// least their variance, half of what it is in random order (von Neumann's ratio is 2), where a pass has nearly 0.
 fn is_scattered(mm: &[f64]) -> bool {
     let known: Vec<f64> = mm.iter().copied().filter(|mm| !mm.is_nan()).collect();
     let count = known.len().max(1) as f64;
     let mean = known.iter().sum::<f64>() / count;
     let variance = known.iter().map(|mm| (mm - mean).powi(2)).sum::<f64>() / count;
     let steps = known.windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
-    variance > 0.0 && steps / (count - 1.0) >= SCATTERED * variance
+    variance > 0.0 && steps / (count - 1.0) >= variance
 }
 
 /// Returns the standard deviation of readings at one place, in µm, where enough places were measured again.

@@ -7,7 +7,12 @@ use trueup_numerics::noise;
 use trueup_page::micrometres;
 
 use super::report;
-use crate::{data::Data, fit::Problem, parameters::step_s, search::Found};
+use crate::{
+    data::Data,
+    fit::Problem,
+    parameters::step_s,
+    search::{Found, criterion::MAJORITY},
+};
 
 /// Slow wandering.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,7 +88,7 @@ impl Wandering {
 /// neighbours say more about a row than its own reading does.
 pub(super) fn wanders(problem: &Problem, found: &Found) -> bool {
     let independent = noise::effective_rows(found.noise, &problem.groups.steps);
-    independent <= 0.5 * problem.groups.len() as f64
+    independent <= MAJORITY * problem.groups.len() as f64
 }
 
 /// Returns what moves machines slowly and is no column of these runs.

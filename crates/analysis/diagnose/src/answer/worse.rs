@@ -2,18 +2,13 @@
 
 use crate::{
     answer::{
-        held_out::inputs,
+        held_out::{BEYOND, inputs},
         hold_out::HoldOut,
         range::{extent, largest_rise},
     },
     columns::named,
     data::{Data, filled},
 };
-
-/// A column leaves what the runs covered where it is beyond their ends by more than a tenth of their
-/// range: so far a straight line that was fitted to it may be continued with a standard error that grows
-/// by no more than a sixth (its variance is 4σ²/n at the end of n equal steps, 5.3σ²/n a tenth beyond).
-const BEYOND: f64 = 0.1;
 
 /// Returns the stretch in which `worse` (µm² of each row) is the most, and the columns that do there what they never
 /// did in the runs: a sentence each.

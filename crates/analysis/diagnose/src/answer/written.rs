@@ -18,7 +18,10 @@
 use std::sync::Arc;
 
 use trueup_machine::RunFile;
-use trueup_numerics::{blocks::rms, robust::median};
+use trueup_numerics::{
+    blocks::rms,
+    robust::{GROSS, LARGEST_SHARE, median},
+};
 
 use crate::{
     answer::{
@@ -40,12 +43,6 @@ use crate::{
     search::{Found, criterion::noise_of, start},
     terms::Extended,
 };
-
-/// Readings farther from the rest, in standard deviations, do not count where a term has left that explained
-/// them.
-const FAR: f64 = 6.0;
-/// Most of the readings that may be so.
-const MAX_FAR: f64 = 0.05;
 
 /// The written terms of an answer, and those that are not.
 pub(crate) struct Written {
@@ -334,10 +331,10 @@ fn fit_of_most(problem: &Problem, model: &Model) -> Model {
         return first.model;
     }
     let mut sizes: Vec<f64> = first.residual.iter().map(|r| r.abs()).collect();
-    let most_um = FAR * deviation(&mut sizes);
+    let most_um = GROSS * deviation(&mut sizes);
     let mask: Vec<bool> = first.residual.iter().map(|r| r.abs() <= most_um).collect();
     let far = mask.iter().filter(|is_near| !**is_near).count() as f64;
-    if far == 0.0 || far > MAX_FAR * mask.len() as f64 {
+    if far == 0.0 || far > LARGEST_SHARE * mask.len() as f64 {
         return first.model;
     }
     fit(problem, &first.model, Some(&mask)).model

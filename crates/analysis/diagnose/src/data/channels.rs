@@ -11,17 +11,15 @@ use std::{ops::Range, sync::Arc};
 use trueup_machine::{
     RunFile,
     model::required_columns,
-    thermometer::{FAST_S, Fault, faults},
+    thermometer::{CHANCE_RUN, FAST_S, Fault, faults},
 };
-use trueup_numerics::parallel::on_all_cores;
+use trueup_numerics::{parallel::on_all_cores, repeats::SIGNIFICANCE};
 
 use super::table::{Column, Data};
 
-/// Changes of a value from row to row that two columns must share before they are called copies: each
-/// would be as likely as not in one of them alone, so that 2⁻³⁰ = 10⁻⁹ is the chance that they are not.
-const SHARED_CHANGES: usize = 30;
-/// A step over more than this many of the usual rows is a pause: twice is one row that is not there.
-const PAUSE_ROWS: f64 = 2.0;
+/// A step over more than this many of the usual rows is a pause, and the rows are no neighbours: twice is one row that is
+/// not there.
+pub(crate) const PAUSE_ROWS: f64 = 2.0;
 /// Rows before and after an instant by which it is asked whether a neighbour turned there.
 const TURN_ROWS: usize = 10;
 /// Below this many rows threads cost more than they bring: a channel of 10,000 takes a millisecond.
@@ -29,8 +27,6 @@ const WORTH_CORES: usize = 1_000;
 /// A jump back is one to the level before if what is left is less than this share of it: by a tenth its
 /// own size is known, which is several times the noise.
 const SAME_LEVEL: f64 = 0.1;
-/// A neighbour turned if it does so less in all but this share of its rows: a level of 1 %.
-const RARE: f64 = 0.01;
 
 impl Data {
     /// Without the columns that are not to be believed: nothing is to be explained by them.
@@ -193,7 +189,7 @@ fn copies(data: &Data) -> Vec<(String, String)> {
 
 /// Returns whether two columns are one: equal wherever both are there, through many changes.
 fn is_copy(values: &[f64], others: &[f64]) -> bool {
-    let mut changes = 0;
+    let mut changes = 0_i32;
     let mut before = f64::NAN;
     for (&value, &other) in values.iter().zip(others) {
         if value.is_nan() && other.is_nan() {
@@ -202,10 +198,11 @@ fn is_copy(values: &[f64], others: &[f64]) -> bool {
         if value != other {
             return false;
         }
-        changes += usize::from(value != before && !before.is_nan());
+        changes += i32::from(value != before && !before.is_nan());
         before = value;
     }
-    changes >= SHARED_CHANGES
+    // Each would be as likely as not in one of them alone.
+    0.5_f64.powi(changes) <= CHANCE_RUN
 }
 
 /// Returns the name of the file of a row, for a note.
@@ -262,7 +259,7 @@ fn turns_with_another(data: &Data, column: usize, row: usize, rows: &Range<usize
     columns.chain(drives).any(|values| turns_at(&values[rows.clone()], row - rows.start))
 }
 
-/// Returns whether a column's mean slope changes at `row` by more than almost anywhere else.
+/// Returns whether a column's mean slope changes at `row` by more than in all but a hundredth of the others.
 fn turns_at(values: &[f64], row: usize) -> bool {
     let turn = |at: usize| {
         let [before, now, after] =
@@ -276,7 +273,7 @@ fn turns_at(values: &[f64], row: usize) -> bool {
     let (more, all) = elsewhere
         .filter_map(turn)
         .fold((0_u32, 0_u32), |(more, all), turn| (more + u32::from(turn >= here), all + 1));
-    here > 0.0 && f64::from(more) <= RARE * f64::from(all)
+    here > 0.0 && f64::from(more) <= SIGNIFICANCE * f64::from(all)
 }
 
 /// The line between the values around in the place of those that are `not_measured`; at an end, the

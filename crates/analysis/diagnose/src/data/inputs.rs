@@ -6,8 +6,8 @@
 
 use super::table::Data;
 
-/// Correlation with the measured value from which a column is that value.
-const SAME_VALUE: f64 = 0.999;
+/// The correlation from which a column is another one in other units: 0.2 % of the squares are its own, the last digits.
+const SAME_COLUMN: f64 = 0.999;
 
 /// Returns whether a column is about the record, not about the machine.
 pub(super) fn is_of_record(name: &str) -> bool {
@@ -27,7 +27,7 @@ pub(super) fn retain(data: &mut Data) {
         } else if is_clock(data, &column.1) {
             data.notes
                 .push(format!("{name} only grows with the rows: it is a clock, and no input"));
-        } else if correlation(&column.1, &data.measured).abs() > SAME_VALUE {
+        } else if is_same(&column.1, &data.measured) {
             data.notes.push(format!("{name} reproduces the measured value, and is no input"));
         } else {
             data.others.push(column);
@@ -51,6 +51,11 @@ fn is_clock(data: &Data, values: &[f64]) -> bool {
         && !changes().any(|change| change < 0.0)
 }
 
+/// Returns whether a column is another one, but for its unit and zero.
+pub(crate) fn is_same(column: &[f64], other: &[f64]) -> bool {
+    correlation(column, other).abs() > SAME_COLUMN
+}
+
 /// Pearson's coefficient over the rows that have both.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let pairs = || a.iter().zip(b).filter(|(a, b)| a.is_finite() && b.is_finite());
@@ -63,4 +68,18 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let sum = |of: &dyn Fn(f64, f64) -> f64| pairs().map(|(a, b)| of(a - a0, b - b0)).sum::<f64>();
     let spread = (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt();
     if spread > 0.0 { sum(&|a, b| a * b) / spread } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_column_that_is_the_reading_in_other_units_is_the_reading() {
+        let reading = [1.0, 2.0, f64::NAN, 4.0, 8.0];
+        let scaled = [-1e3, -2e3, -3e3, -4e3, -8e3];
+        assert!(is_same(&scaled, &reading));
+        let other = [1.0, -2.0, 0.0, 2.0, -1.0];
+        assert!(!is_same(&other, &reading));
+    }
 }

@@ -7,10 +7,7 @@ use trueup_numerics::{
     t_quantile,
 };
 
-use super::{jacobian::jacobian, problem::Problem, solve::Fitted};
-
-/// The share that an interval of 95 % leaves on each side.
-const BEYOND: f64 = 0.025;
+use super::{LEVEL, jacobian::jacobian, problem::Problem, solve::Fitted};
 
 /// Returns the value of part number `part` of `fitted` that differs most between the groups of the second half
 /// and the others, in each; none where no value differs by more than its 95 % intervals in the two halves,
@@ -33,7 +30,7 @@ pub(crate) fn differs_between_halves(
     let steps = &problem.groups.steps;
     let kind = &fitted.model.parts[part].kind;
     let share = is_second.iter().filter(|second| **second).count() as f64 / is_second.len() as f64;
-    let level = 1.0 - BEYOND / parameters.len().max(1) as f64;
+    let level = 1.0 - 0.5 * (1.0 - LEVEL) / parameters.len().max(1) as f64;
     let mut most: Option<(f64, [f64; 2])> = None;
     for (at, column) in parameters.iter().zip(&columns) {
         let Some((_, value)) = at.filter(|(of, _)| *of == part) else { continue };

@@ -6,8 +6,10 @@ use std::{
 };
 
 use trueup_machine::effect::{MIN_GROUPS_IN_A_PERIOD, Nonlinear};
+use trueup_numerics::blocks::{CORRELATION_TIMES, PARTS};
 
 use super::{
+    LEVEL,
     cache::{Cache, Columns, Key},
     growth,
     memo::Memo,
@@ -215,9 +217,11 @@ impl Problem {
         }
     }
 
-    /// Returns whether a time constant is so short that the record shows all of it.
+    /// Returns whether a time constant is so short that the record shows all of it: in each of its parts 95 % of a change
+    /// comes.
     pub(crate) fn is_short(&self, time_constant_s: f64) -> bool {
-        SHORT * time_constant_s < self.bounds.longest_s
+        let settled_s = -(1.0 - LEVEL).ln() * time_constant_s;
+        PARTS as f64 * settled_s < self.bounds.longest_s
     }
 
     /// Returns whether a value of a part is where its search ends, so that the best may lie beyond: a time
@@ -316,8 +320,6 @@ const LATEST_THERMOMETER_S: f64 = 900.0;
 /// The share of the longest series by which the prediction, or a thermometer, may be late. Rows shifted out of a record
 /// cannot be compared any more: nine tenths of it still are.
 const MAX_SHIFT: f64 = 0.1;
-/// The shortest time constant, in rows: of less than a hundredth is left after a row.
-const SHORTEST_ROWS: f64 = 0.2;
 /// The longest, in records: of one that is longer less than a third is in the record.
 const LONGEST_RECORDS: f64 = 3.0;
 /// The longest period, in travels: a wave that turns less than one and a half times is a curve.
@@ -326,8 +328,6 @@ const LONGEST_PERIOD: f64 = 0.7;
 const LONGEST_TIME_PERIOD: f64 = 0.4;
 /// Heat that cools this many times faster or slower than it warms is not the same heat.
 const ALIKE: f64 = 5.0;
-/// Time constants in a record that shows all of one: three of them pass five times over.
-const SHORT: f64 = 15.0;
 
 fn bounds(data: &Data, groups: &Groups) -> Bounds {
     let extent = |values: &mut dyn Iterator<Item = f64>| {
@@ -357,7 +357,8 @@ fn bounds(data: &Data, groups: &Groups) -> Bounds {
         if longest > 0.0 { longest } else { 1.0 }
     });
     let step_s = longest_s * data.files as f64 / (data.recorded_rows() as f64).max(2.0);
-    let fastest_s = (SHORTEST_ROWS * step_s).max(data.fastest_lag_s());
+    // Of a shorter one less than a hundredth is left after a row.
+    let fastest_s = (step_s / CORRELATION_TIMES).max(data.fastest_lag_s());
     let own = data.own_position();
     let range = own.map_or([0.0, 1.0], |mm| finite(extent(&mut mm.iter().copied()), [0.0, 1.0]));
     let prediction = Model::default().predict(data);

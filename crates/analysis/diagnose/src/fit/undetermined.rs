@@ -1,6 +1,6 @@
 //! Values of tables and splines that the data do not determine.
 
-use trueup_numerics::least_squares::normal::dot;
+use trueup_numerics::{least_squares::normal::dot, repeats::HARDLY};
 
 use super::jacobian::Parameter;
 use crate::model::Model;
@@ -23,8 +23,6 @@ pub(super) fn substitutes(
     columns: &[Vec<f64>],
     mask: Option<&[bool]>,
 ) -> Vec<Substitute> {
-    // Of the squares of the column that has most: a hundredth of a reading next to one.
-    const HARDLY: f64 = 1e-4;
     let squares = |column: &Vec<f64>| match mask {
         None => dot(column, column),
         Some(mask) => column.iter().zip(mask).filter(|(_, used)| **used).map(|(c, _)| c * c).sum(),

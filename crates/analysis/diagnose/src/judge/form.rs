@@ -12,6 +12,8 @@
 //! long, is left out
 //! ```
 
+use std::f64::consts::PI;
+
 use trueup_numerics::{blocks::rms, noise};
 
 use crate::{
@@ -20,23 +22,18 @@ use crate::{
     kind::{Kind, Part},
     laws::Laws,
     search::{
-        criterion::STRONG_EVIDENCE,
+        criterion::{MAJORITY, STRONG_EVIDENCE},
         extend::{Extension, centred_effect, with_each_cause},
     },
 };
 
 /// Lagged laws that are tried next to what settles from the start on.
 const MAX_LAWS: usize = 4;
-/// The error of a lag of the first order for a body that is heated from its side: the share of its mean temperature
-/// that is not of the slowest mode, 1 − 8/π² (Carslaw and Jaeger, Conduction of Heat in Solids, 3.3).
-const FORM: f64 = 0.19;
 /// Time constants of a second body, as parts of that of the first: a shorter one is not seen next to it, and of two
 /// alike the form changes most.
 const SECOND_BODY: [f64; 4] = [0.1, 0.2, 0.4, 0.8];
 /// Of a start that had not settled a seventh is left after this many time constants.
 const SETTLED: f64 = 2.0;
-/// The share of the record that must be left without its start for the question to be fair.
-const MIN_LEFT: f64 = 0.5;
 
 /// Returns the lagged law whose form may be all that `part` stands for; `without` lacks the part.
 pub(crate) fn form_of(case: &Case<'_>, part: &Part, without: &Fitted) -> Option<Kind> {
@@ -87,7 +84,10 @@ fn is_within_form(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
     let fitted = &case.found.fitted;
     let rows = fitted.residual.len() as f64;
     let own_um = ((without.sum - fitted.sum).max(0.0) / rows).sqrt();
-    own_um < FORM * rms(&centred_effect(case.problem, fitted, &law.kind))
+    // The share of the mean temperature of a body heated from its side that is not of the slowest mode (Carslaw and
+    // Jaeger, Conduction of Heat in Solids, 3.3).
+    let missed = 1.0 - 8.0 / (PI * PI);
+    own_um < missed * rms(&centred_effect(case.problem, fitted, &law.kind))
 }
 
 /// Returns whether a second body behind `law` does as well as the term that `without` lacks.
@@ -121,7 +121,8 @@ fn is_of_the_start(case: &Case<'_>, law: &Part, without: &Fitted) -> bool {
         })
         .collect();
     let left = mask.iter().filter(|is_left| **is_left).count() as f64 / mask.len() as f64;
-    if left < MIN_LEFT {
+    // Without most of the evidence the question is not fair.
+    if left < MAJORITY {
         return false;
     }
     let squares = |fitted: &Fitted| {

@@ -2,16 +2,14 @@
 
 use trueup_machine::effect::Effect;
 
-use crate::{columns::named, data::Data, judge::case::Case, kind::Kind};
+use crate::{
+    columns::named, data::Data, judge::case::Case, kind::Kind, model::ANOTHER_LAW,
+    search::criterion::EQUAL_PREDICTION,
+};
 
 /// A model that is identified leaves about as much where it was not fitted as where it was: twice as
 /// much is four times the squares.
 const MAX_LEFT_OUT: f64 = 2.0;
-/// A model that leaves at most a tenth more in whole records that it was not fitted to has been seen again
-/// there, however wide the intervals of its constants are.
-const SEEN_AGAIN: f64 = 1.1;
-/// By how much a time constant may differ with what is left out, from the least to the most.
-const STEADY: f64 = 2.5;
 
 /// Returns whether a term is identified; `is_known`: by the intervals of its values.
 pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bool {
@@ -19,7 +17,9 @@ pub(crate) fn is_identified(case: &Case<'_>, cause: &Kind, is_known: bool) -> bo
     // alone is excepted: without the start it cannot be.
     let is_late = cause.has_time_constant() && !cause.cause().is_some_and(Effect::is_in_time);
     let is_at_most = |times: f64| case.left_out_um <= times * case.found.fitted.rms();
-    let is_predicted = case.found.folds.are_records() && is_at_most(SEEN_AGAIN);
+    // A model that predicts whole records that it was not fitted to equally well has been seen again there, however wide
+    // the intervals of its constants are.
+    let is_predicted = case.found.folds.are_records() && is_at_most(EQUAL_PREDICTION);
     is_predicted
         || is_known
             && is_steady(case, cause)
@@ -38,7 +38,7 @@ fn is_steady(case: &Case<'_>, cause: &Kind) -> bool {
         .filter_map(|model| model.parts.iter().find(|part| part.kind == *cause))
         .map(|part| part.values[0])
         .fold((f64::INFINITY, 0.0_f64), |(low, high), v| (low.min(v), high.max(v)));
-    high <= STEADY * low || case.problem.is_short(high)
+    high <= ANOTHER_LAW * low || case.problem.is_short(high)
 }
 
 /// Returns whether a slow path of a column was seen more than once: over one heating and one cooling, whatever

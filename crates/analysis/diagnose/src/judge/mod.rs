@@ -85,6 +85,7 @@ use identified::is_identified;
 use instrument::table_beside;
 use needed::{Alone, gains_again, goes_on, may_gain_nothing, only_together};
 use other_law::Curves;
+pub(crate) use rivals::IMITATION;
 use rivals::{Rival, predict_alike, rivals};
 use table::{BetweenPoints, repeated};
 

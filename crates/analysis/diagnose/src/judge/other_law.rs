@@ -1,27 +1,22 @@
 //! Whether a curve over some inputs is a better law than a term, so that the term stands for a law that
 //! no cause has.
 
+use trueup_numerics::repeats::MIN_R_SQUARED;
+
 use crate::{
     candidates::{Candidate, structure},
     columns::{SAID, named},
-    data::Data,
+    data::{Data, is_same},
     fit::{Fitted, fit},
     judge::{case::Case, caveat::Caveat, rivals::imitates},
     kind::{Curve, Kind},
     model::Model,
     search::{
-        criterion::{STRONG_EVIDENCE, bic},
+        criterion::{MAJORITY, STRONG_EVIDENCE, bic},
         extend::Extension,
         lack_of_fit::{Inputs, with_curves, with_each_curve},
     },
 };
-
-/// R² of a law: the least that it must explain of the squares that go with its inputs.
-const MIN_R_SQUARED: f64 = 0.9;
-/// The share of what a term explains that is left to it next to a better law: below.
-const LEFT_TO_IT: f64 = 0.5;
-/// The correlation from which a column is another's: 0.2 % of the squares are its own.
-const SAME_COLUMN: f64 = 0.999;
 
 /// The curves that would be another law than a term's.
 pub(crate) struct Curves {
@@ -72,7 +67,8 @@ impl Curves {
             let beside = beside(&curve.fitted.model, &case.found.fitted.model, cause);
             let is_left = curve.fitted.sum - fit(case.problem, &beside, None).sum;
             let explained = without.sum - case.found.fitted.sum;
-            (is_left < LEFT_TO_IT * explained
+            // The larger part of what the term explains is the law's.
+            (is_left < MAJORITY * explained
                 && (is_shown || case.left_out_um_of(&curve.fitted) < case.left_out_um))
                 .then_some(doubt)
         })
@@ -118,39 +114,5 @@ fn beside(curve: &Model, answer: &Model, cause: &Kind) -> Model {
 /// Returns whether a column is what the instrument reads.
 fn is_reading(data: &Data, column: &str) -> bool {
     let reading = data.own_position().unwrap_or(&data.elongation);
-    named(data, column).is_some_and(|column| correlation(column, reading).abs() > SAME_COLUMN)
-}
-
-/// Returns the correlation of two columns, over the rows that both have.
-fn correlation(a: &[f64], b: &[f64]) -> f64 {
-    let pairs: Vec<(f64, f64)> = a
-        .iter()
-        .zip(b)
-        .filter(|(a, b)| a.is_finite() && b.is_finite())
-        .map(|(a, b)| (*a, *b))
-        .collect();
-    let count = pairs.len() as f64;
-    let mean = |of: fn(&(f64, f64)) -> f64| pairs.iter().map(of).sum::<f64>() / count;
-    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    let [mut aa, mut bb, mut ab] = [0.0; 3];
-    for (a, b) in pairs {
-        aa += (a - mean_a).powi(2);
-        bb += (b - mean_b).powi(2);
-        ab += (a - mean_a) * (b - mean_b);
-    }
-    ab / (aa * bb).sqrt()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_column_that_is_the_reading_in_other_units_is_the_reading() {
-        let reading = [1.0, 2.0, f64::NAN, 4.0, 8.0];
-        let scaled = [-1e3, -2e3, -3e3, -4e3, -8e3];
-        assert!((correlation(&scaled, &reading) + 1.0).abs() < 1e-12);
-        let other = [1.0, -2.0, 0.0, 2.0, -1.0];
-        assert!(correlation(&other, &reading).abs() < 0.5);
-    }
+    named(data, column).is_some_and(|column| is_same(column, reading))
 }

@@ -15,8 +15,8 @@ use crate::{
 
 /// Most rivals of a term.
 const MAX_RIVALS: usize = 6;
-/// Share of what a term does that a rival may miss and still imitate it.
-const IMITATION: f64 = 0.05;
+/// Share of what a term does (RMS) that a rival, or a factor of the CNC, may miss and still imitate it.
+pub(crate) const IMITATION: f64 = 0.05;
 
 /// Another cause in a term's place, or the same by another column.
 pub(crate) struct Rival {

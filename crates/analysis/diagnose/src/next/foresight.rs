@@ -11,7 +11,7 @@
 use std::{fmt::Write as _, path::Path};
 
 use trueup_machine::{RunFile, file::is_temperature_column};
-use trueup_numerics::{least_squares::GivensQr, robust::median};
+use trueup_numerics::{least_squares::GivensQr, repeats::HARDLY, robust::median};
 
 use super::{Gauge, Stretch};
 use crate::data::Data;
@@ -25,8 +25,6 @@ const LAGS_S: [f64; 16] = [
 const POWERS: [f64; 3] = [1.0, 1.5, 2.0];
 /// Rows that are looked at: enough for four constants.
 const MAX_ROWS: usize = 600;
-/// The weight that pulls a constant that nothing determines to 0: as much as a hundredth of the rows.
-const PULL: f64 = 0.01;
 
 /// The behaviour of the spindle and of the input columns in the runs.
 pub(super) struct Foresight {
@@ -194,7 +192,8 @@ impl Response {
             .collect();
         let step = there.len().div_ceil(MAX_ROWS).max(1);
         let there: Vec<usize> = there.into_iter().step_by(step).collect();
-        let pull = (PULL * there.len() as f64).sqrt();
+        // A constant that nothing determines is pulled to 0.
+        let pull = (HARDLY * there.len() as f64).sqrt();
         let mut best: Option<(f64, Self)> = None;
         for power in POWERS {
             for lag_s in LAGS_S {

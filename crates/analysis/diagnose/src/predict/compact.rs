@@ -17,9 +17,9 @@ const RIDGE: f64 = 0.05;
 const SINGLE: f64 = 1e-3;
 /// Held more, a fit is none.
 const MAX_RIDGE: f64 = 10.0;
-/// A term does at most this many times what was measured ([`crate::answer`]: of two terms that take each other back
-/// each is larger).
-const MAX_TIMES: f64 = 2.0;
+/// A term does at most this many times what was measured: of two terms of which each explains all and the other takes it
+/// back, each is larger.
+pub(crate) const MAX_TIMES: f64 = 2.0;
 /// An exchange has to gain this share.
 const EXCHANGE: f64 = 1e-3;
 /// Most candidates: those that the most subsamples have.

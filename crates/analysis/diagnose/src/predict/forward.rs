@@ -9,10 +9,10 @@
 //!
 //! The best gain wins; of those within one standard error (paired over the blocks) and nine tenths of it the simplest.
 
+use trueup_numerics::blocks::BETTER;
+
 use crate::predict::dictionary::Dictionary;
 
-/// Standard errors of its gain that a term is worth, and within which two terms are equal.
-const WORTH: f64 = 1.0;
 /// Within one standard error, but worth less than this share of the best, a simple term is no rival.
 const RIVAL: f64 = 0.9;
 /// The share of a column's squares left next to the others, below which it adds nothing.
@@ -55,7 +55,7 @@ impl Forward<'_> {
             }
             let pick = self.simplest(&gains, best);
             let is_worth =
-                [best, pick].iter().any(|it| it.sum > WORTH * standard_error(&it.of_blocks));
+                [best, pick].iter().any(|it| it.sum > BETTER * standard_error(&it.of_blocks));
             if self.stops && !is_worth {
                 break;
             }
@@ -124,7 +124,7 @@ impl Forward<'_> {
         let is_rival = |gain: &&Gain| {
             let apart: Vec<f64> =
                 best.of_blocks.iter().zip(&gain.of_blocks).map(|(a, b)| a - b).collect();
-            gain.sum >= RIVAL * best.sum && best.sum - gain.sum <= WORTH * standard_error(&apart)
+            gain.sum >= RIVAL * best.sum && best.sum - gain.sum <= BETTER * standard_error(&apart)
         };
         let rivals = gains.iter().filter(is_rival);
         let order =

@@ -11,7 +11,7 @@
 //!
 //! Nothing is promised of a fit: the whole of it is done again without each part of the record, which it then foresees.
 
-mod compact;
+pub(crate) mod compact;
 mod dictionary;
 mod forward;
 

@@ -23,8 +23,12 @@ pub(crate) const CHOICE: f64 = 2.0;
 /// strong evidence).
 pub(crate) const STRONG_EVIDENCE: f64 = 6.0;
 
-/// A model that leaves more than this times as much on left-out blocks (RMS) does not predict as well.
+/// A model that leaves more than this times as much on left-out blocks or a hold-out (RMS) does not predict as well; the
+/// fixed form of the answer says 5 % (`docs/reference.md`, Diagnosis).
 pub(crate) const EQUAL_PREDICTION: f64 = 1.05;
+
+/// The share beyond which something is the larger part: of an error, of a distance, of what is explained or taken back.
+pub(crate) const MAJORITY: f64 = 0.5;
 
 /// Returns how many values of `model` are fitted.
 pub(crate) fn degrees(model: &Model) -> usize {

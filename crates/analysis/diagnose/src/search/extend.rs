@@ -11,13 +11,10 @@ use crate::{
     model::Model,
     search::{
         bound::with_best_bound,
-        criterion::bic,
+        criterion::{MAJORITY, bic},
         scan::{Draw, Hit, scan},
     },
 };
-
-/// The share that is left of the lesser of two effects that take each other back.
-const TAKEN_BACK: f64 = 0.5;
 
 /// A model that was extended by a cause, fitted with everything else.
 #[derive(Clone)]
@@ -146,7 +143,7 @@ pub(crate) fn centred_effect(problem: &Problem, fitted: &Fitted, cause: &Kind) -
 /// Returns whether of two effects the one takes back more of the other than it leaves.
 pub(crate) fn take_back(one: &[f64], other: &[f64]) -> bool {
     let sum: Vec<f64> = one.iter().zip(other).map(|(a, b)| a + b).collect();
-    rms(&sum) < TAKEN_BACK * rms(one).min(rms(other))
+    rms(&sum) < MAJORITY * rms(one).min(rms(other))
 }
 
 fn with(model: &Model, hit: &Hit) -> Model {

@@ -61,8 +61,6 @@ use state::{RejectReason, Search, Stage};
 
 /// Most terms of one diagnosis.
 const MAX_TERMS: usize = 8;
-/// A lack of fit that is reported would be this many terms' worth.
-const LACK_OF_FIT: f64 = 2.0;
 /// Most rounds: one for each term, and as many as find nothing.
 const MAX_ROUNDS: usize = MAX_TERMS + 8;
 /// How often the search begins again after a term was given up.
@@ -324,8 +322,7 @@ impl Search<'_> {
         let (problem, fitted) = (self.problem, self.fitted);
         let scanned = scan(problem, &fitted, &structure(problem), self.limits);
         let share_um = |hit: &Hit| (hit.explained * fitted.rms().powi(2)).sqrt();
-        let counts =
-            |hit: &&Hit| hit.is_significant && share_um(hit) > LACK_OF_FIT * self.relevant_um;
+        let counts = |hit: &&Hit| hit.is_significant && share_um(hit) > self.relevant_um;
         let inputs =
             scanned.hits.iter().filter(counts).filter_map(|hit| Inputs::of(&hit.part.kind));
         for inputs in inputs {

@@ -9,16 +9,11 @@ use crate::{
     gain::Gain,
     kind::Kind,
     search::{
-        criterion::{STRONG_EVIDENCE, bic, degrees},
+        criterion::{EQUAL_PREDICTION, STRONG_EVIDENCE, bic, degrees},
         extend::{Extension, with_each_cause},
-        state::{Added, Search},
+        state::{Added, RELEVANT, Search},
     },
 };
-
-/// A term leaves if it predicts left-out blocks less than this times better.
-const NEEDED: f64 = 1.01;
-/// Something that is farther away than a term takes its place if it leaves less than this share.
-const CLEARLY_BETTER: f64 = 0.9;
 
 impl Search<'_> {
     /// Tries, for each term, whether it is still needed, and whether another cause does better in its
@@ -55,7 +50,8 @@ impl Search<'_> {
             }
             _ => {
                 let is_needed = without > own
-                    || self.left_out_um(&places.without) > NEEDED * self.left_out_um(&self.fitted);
+                    || self.left_out_um(&places.without)
+                        > (1.0 + RELEVANT) * self.left_out_um(&self.fitted);
                 if !is_needed {
                     self.remove(index, places.without);
                 }
@@ -86,9 +82,9 @@ impl Search<'_> {
     /// model has already gives way to something that it has not.
     pub(crate) fn predicts_better(&self, cause: &Kind, other: &Extension) -> bool {
         let most = if degrees(&other.fitted.model) < degrees(&self.fitted.model) {
-            NEEDED
+            1.0 + RELEVANT
         } else if other.cause.tier() > cause.tier() {
-            CLEARLY_BETTER
+            1.0 - 2.0 * (EQUAL_PREDICTION - 1.0)
         } else {
             1.0
         };

@@ -30,14 +30,15 @@ use crate::{
     fit::{Fitted, Problem, jacobian, of_part},
     kind::Part,
     model::Model,
+    outliers::CLAIM,
     search::{
         criterion::{longest_memory, noise_of},
         statistics::{Trial, statistics},
     },
 };
 
-/// Chance that noise passes the limit of one statistic in one search.
-pub(crate) const FALSE_ALARM: f64 = 0.0005;
+/// Chance that noise passes the limit of one of the two statistics in one search: together that of a claim.
+pub(crate) const FALSE_ALARM: f64 = CLAIM / 2.0;
 /// Draws of noise.
 const DRAWS: usize = 32;
 

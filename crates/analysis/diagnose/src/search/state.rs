@@ -131,7 +131,7 @@ impl fmt::Display for RejectReason {
     }
 }
 
-/// The share of the RMS that the machine file leaves below which nothing is worth a term.
+/// The share of the RMS below which nothing is worth a term: of what the machine file leaves, and of left-out blocks.
 pub(crate) const RELEVANT: f64 = 0.01;
 
 impl<'p> Search<'p> {

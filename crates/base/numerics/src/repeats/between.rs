@@ -13,7 +13,7 @@ use super::{
 const MIN_INNER: usize = 6;
 /// The line must explain this much of the squares of what it foresees: the same R² that a law must have of
 /// what goes with its inputs.
-const MIN_R_SQUARED: f64 = 0.9;
+pub const MIN_R_SQUARED: f64 = 0.9;
 
 /// Misses of neighbours share places. Of this many the sum of squares scatters like that of this share of
 /// independent ones (Satterthwaite; even steps: covariances of 1.5, −1 and 0.25 give 1.5²/(1.5² + 2·1² +

@@ -1,5 +1,9 @@
 //! How well places determine a table of equal steps that they do not stand on.
 
+/// The share of the squares of the value with most below which another one is not determined: a hundredth of a reading
+/// next to one says nothing.
+pub const HARDLY: f64 = 1e-4;
+
 /// Returns the variance of the point of a table that is known least, in those of one reading, if each place of
 /// `at` (in the unit of `start` and `step`, any order) was read once and lines join the points. Points on
 /// which no place has a say are left out: infinite where what is left is not determined.
@@ -15,8 +19,6 @@
 /// ```
 #[must_use]
 pub fn largest_variance(at: &[f64], start: f64, step: f64, points: usize) -> f64 {
-    // A hundredth of a reading next to one says nothing.
-    const HARDLY: f64 = 1e-4;
     let mut diagonal = vec![0.0; points];
     let mut beside = vec![0.0; points];
     for value in at {

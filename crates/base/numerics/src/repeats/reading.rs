@@ -37,7 +37,7 @@ pub fn arrivals(stops: &[(usize, usize)]) -> Vec<usize> {
 ///
 /// Source: ISO 230-2 lets a target differ from an even grid by up to 30 % of the step; a position that is
 /// meant to be the same is nearer by far, and a tenth lies between.
-const SAME_PLACE: f64 = 0.1;
+pub const SAME_PLACE: f64 = 0.1;
 
 /// Returns the places that `positions` are meant to be, rising, and the place of each position. `step` is the
 /// smallest that was meant, in the same unit; 0: only equal positions are one place.

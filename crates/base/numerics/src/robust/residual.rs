@@ -12,7 +12,7 @@ const HALF: usize = 3;
 /// Fewer rows have no scatter to speak of.
 const MIN: usize = 12;
 /// A larger share of the rows is not a few readings.
-pub(super) const LARGEST_SHARE: f64 = 0.08;
+pub const LARGEST_SHARE: f64 = 0.08;
 
 /// Returns whether each row is a gross error. `series` says which rows are neighbours: those of one number;
 /// `resolution` is the instrument's last digit, in the unit of `residual`, or 0.

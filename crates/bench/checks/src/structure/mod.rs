@@ -67,7 +67,7 @@ const LIMITS: Limits = Limits {
     unseen: 0,
     without_tier: 0,
     places: 2,
-    thresholds: 107,
+    thresholds: 64,
     stale: 0,
 };
 
