@@ -40,7 +40,7 @@ pub struct Part {
 
 /// Readings of both runs at the same times or places.
 #[derive(Clone, Debug)]
-pub struct Pair {
+pub(crate) struct Pair {
     pub quantity: Quantity,
     /// Where: seconds since the start, positions or row numbers.
     pub at: Vec<f64>,

@@ -20,7 +20,7 @@
 use trueup_machine::file::BSpline;
 
 /// The largest order: the board runs cubics.
-pub const MAX_ORDER: usize = 4;
+pub(crate) const MAX_ORDER: usize = 4;
 
 /// The values of `order` basis functions.
 pub type Weights = [f64; MAX_ORDER];
@@ -110,7 +110,7 @@ pub fn derivatives(spline: &BSpline, x: f64) -> [f64; 3] {
 /// Returns the largest absolute slope in µm/mm and curvature in µm/mm², found at `per_span` places of each
 /// knot span with its ends.
 #[must_use]
-pub fn steepest(spline: &BSpline, per_span: usize) -> (f64, f64) {
+pub(crate) fn steepest(spline: &BSpline, per_span: usize) -> (f64, f64) {
     let knots = &spline.knots_mm;
     let (mut slope, mut curvature) = (0.0_f64, 0.0_f64);
     for pair in knots.windows(2).filter(|pair| pair[1] > pair[0]) {

@@ -51,7 +51,7 @@ use trueup_machine::{
 };
 
 pub use backlash::{BacklashFit, WidthRule, fit_backlash};
-pub use gantry::{Drive, drive_of, fit_both};
+pub use gantry::{Drive, fit_both};
 pub use page::page;
 pub use test_points::hidden_pitches;
 

@@ -106,7 +106,7 @@ impl Parameter {
 
     /// Returns true where it is an amplitude whose interval includes 0.
     #[must_use]
-    pub fn may_be_none(&self) -> bool {
+    pub(crate) fn may_be_none(&self) -> bool {
         self.is_amplitude && self.ci95.is_some_and(|[low, high]| low <= 0.0 && 0.0 <= high)
     }
 

@@ -63,7 +63,7 @@ use sites::Sites;
 pub const PATIENCE: usize = 2;
 
 /// With more coefficients a curve is too large for a board, and follows the noise.
-pub const MAX_COEFFICIENTS: usize = 128;
+pub(crate) const MAX_COEFFICIENTS: usize = 128;
 
 /// Tolerance, method and limits of the fit.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,7 +74,7 @@ pub struct Options {
     pub method: Method,
     /// The straight line from which the error counts.
     pub reference: ReferenceLine,
-    /// At most this many coefficients; at least 2 and at most [`MAX_COEFFICIENTS`] are used.
+    /// At most this many coefficients; at least 2 and at most `MAX_COEFFICIENTS` are used.
     pub most_coefficients: usize,
 }
 

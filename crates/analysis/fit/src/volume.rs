@@ -16,7 +16,7 @@
 //! | [`modes`] | forms of a smooth function |
 //! | [`constants`] | the errors, and what a unit of each does |
 //! | [`frame`], [`setup`] | the workpiece and the tool, and what is unknown of a set-up |
-//! | [`design`] | the equations |
+//! | `design` | the equations |
 //! | [`mod@estimate`] | constants, noise and sizes |
 //! | [`judge`] | what is known, and readings that were held out |
 //! | [`next`] | the measurement that would settle the rest |
@@ -24,7 +24,7 @@
 //! | `page` | the page with the curves |
 
 pub mod constants;
-pub mod design;
+pub(crate) mod design;
 pub mod estimate;
 pub mod frame;
 pub mod judge;

@@ -93,17 +93,17 @@ impl Bank {
     }
 
     /// Returns the zero in µm and the shares by the filters together, applied or not.
-    pub fn lasting(&self) -> Vec<f64> {
+    pub(crate) fn lasting(&self) -> Vec<f64> {
         self.learned.lasting()
     }
 
     /// Returns the scatter of a reading about its prediction, in µm, and its upper end, by the filter that counts most.
-    pub fn scatter_um(&self) -> [f64; 2] {
+    pub(crate) fn scatter_um(&self) -> [f64; 2] {
         self.learned.filters[self.learned.first()].scatter_um()
     }
 
     /// Returns the standard deviation of the prediction at `g` in µm: of each filter, and between them.
-    pub fn unknown_um(&self, g: &[f64]) -> f64 {
+    pub(crate) fn unknown_um(&self, g: &[f64]) -> f64 {
         let by = |x: &[f64]| g.iter().zip(x).map(|(g, x)| g * x).sum::<f64>();
         let mean_um = by(&self.learned.lasting());
         let all = self.learned.filters.iter().zip(&self.learned.weights);
@@ -122,21 +122,21 @@ impl Bank {
     }
 
     /// Readings scatter `times` as much from here on.
-    pub fn scale_noise(&mut self, times: f64) {
+    pub(crate) fn scale_noise(&mut self, times: f64) {
         let both = self.file.filters.iter_mut().chain(&mut self.learned.filters);
         both.for_each(|filter| filter.scale_noise(times));
     }
 
     /// Keeps the values that `from` names by their old places, in the new order; a value without one begins at 0 within
     /// `prior`.
-    pub fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
+    pub(crate) fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
         let both = self.file.filters.iter_mut().chain(&mut self.learned.filters);
         both.for_each(|filter| filter.select(from, prior));
     }
 
     /// Returns how many used readings they are compared by, and by how much the file as it is and what was learned have
     /// missed them, mean magnitude in µm.
-    pub fn compared(&self) -> (usize, f64, f64) {
+    pub(crate) fn compared(&self) -> (usize, f64, f64) {
         let count = self.missed_um.len();
         let mean = |index: usize| {
             self.missed_um.iter().map(|missed| missed[index]).sum::<f64>() / count.max(1) as f64
@@ -146,7 +146,7 @@ impl Bank {
 
     /// This many times likelier than by the file as it is the readings are by what was learned, since the file was last
     /// as good; never counted beyond what is enough.
-    pub fn odds(&self) -> f64 {
+    pub(crate) fn odds(&self) -> f64 {
         self.evidence.exp()
     }
 

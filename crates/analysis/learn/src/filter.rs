@@ -119,7 +119,7 @@ impl Filter {
     }
 
     /// Returns the zero in µm, then shares.
-    pub fn lasting(&self) -> &[f64] {
+    pub(crate) fn lasting(&self) -> &[f64] {
         &self.x[..self.prior.len()]
     }
 
@@ -140,7 +140,7 @@ impl Filter {
 
     /// Returns the scatter of a reading about its prediction, in µm: its own noise and what wanders; and the upper end of what
     /// the readings so far allow: a median of n magnitudes is known to 1/√n.
-    pub fn scatter_um(&self) -> [f64; 2] {
+    pub(crate) fn scatter_um(&self) -> [f64; 2] {
         if self.taken.len() < ENOUGH {
             return [self.noise_um, UNKNOWN_NOISE * self.noise_um];
         }
@@ -171,7 +171,7 @@ impl Filter {
     }
 
     /// Returns the standard deviation of what the values that last predict at `g`, in µm.
-    pub fn unknown_um(&self, g: &[f64]) -> f64 {
+    pub(crate) fn unknown_um(&self, g: &[f64]) -> f64 {
         let mut all = g.to_vec();
         all.push(0.0);
         self.unknown(&all).sqrt()
@@ -195,7 +195,7 @@ impl Filter {
     }
 
     /// Readings scatter `times` as much from here on.
-    pub fn scale_noise(&mut self, times: f64) {
+    pub(crate) fn scale_noise(&mut self, times: f64) {
         self.noise_um *= times;
         self.taken.clear();
         self.last.clear();
@@ -203,7 +203,7 @@ impl Filter {
 
     /// Keeps the values that `from` names by their old places, in the new order; a value without one begins at 0.
     /// `prior`: standard deviations of the new values.
-    pub fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
+    pub(crate) fn select(&mut self, from: &[Option<usize>], prior: &[f64]) {
         let (old_n, old_p) = (self.x.len(), std::mem::take(&mut self.p));
         let mut places = from.to_vec();
         places.push(Some(old_n - 1));

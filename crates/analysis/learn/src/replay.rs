@@ -56,7 +56,7 @@ impl Believed {
     }
 
     /// Takes the reading `index` of the window, and returns its outcome.
-    pub fn advance(&mut self, memory: &Memory, index: usize) -> Fate {
+    pub(crate) fn advance(&mut self, memory: &Memory, index: usize) -> Fate {
         self.tail.push(self.bank.clone());
         if self.tail.len() > TAIL {
             self.tail.remove(0);
@@ -79,7 +79,7 @@ impl Believed {
 
     /// Returns what explains the readings from `index` of the window to the reading before `end`; the zero counts without the event
     /// `own`.
-    pub fn explain(
+    pub(crate) fn explain(
         &self,
         memory: &Memory,
         [index, end]: [usize; 2],
@@ -92,7 +92,7 @@ impl Believed {
 
     /// Returns true if one of the [`BEFORE`] beliefs before that of reading `index` foresees the readings from `index` on: bad readings
     /// have moved the estimate in between, and nothing has happened to the machine.
-    pub fn is_moved_back(&self, memory: &Memory, index: usize) -> bool {
+    pub(crate) fn is_moved_back(&self, memory: &Memory, index: usize) -> bool {
         let Some(place) = (index + self.tail.len()).checked_sub(memory.window.len()) else {
             return false;
         };

@@ -2,7 +2,7 @@
 //!
 //! | module | solves |
 //! |---|---|
-//! | [`givens_qr`] | y = c₁·x₁ + … + cₚ·xₚ, row by row, in memory of p² |
+//! | `givens_qr` | y = c₁·x₁ + … + cₚ·xₚ, row by row, in memory of p² |
 //! | [`nonlinear`] | y = f(p), by Levenberg-Marquardt, from a start |
 //! | [`separable`] | y = c₁·f₁(q) + …: a grid over q, the c by linear least squares inside, then all together |
 //! | [`normal`] | y = c₁·x₁ + … + cₚ·xₚ, columns at a time, for searches |
@@ -14,7 +14,7 @@
 //! residuals as independent; where they are correlated, as those of warm machines are, the true
 //! intervals are wider.
 
-pub mod givens_qr;
+pub(crate) mod givens_qr;
 pub mod nonlinear;
 pub mod normal;
 pub mod separable;

@@ -219,7 +219,7 @@ pub fn effective_rows(noise: Noise, steps: &Steps) -> f64 {
 
 /// −2 ln of the likelihood of these noises at the best variance, but for a constant: the filter of
 /// [`Whitener`] for several noises side by side, and of what it gives only the sums.
-pub fn deviances<const NOISES: usize>(
+pub(crate) fn deviances<const NOISES: usize>(
     noises: [Noise; NOISES],
     steps: &Steps,
     residual: &[f64],

@@ -48,5 +48,6 @@ pub use chance::{chance_of_as_many, chance_of_noise};
 pub use relation::{ROWS_A_COLUMN, in_relation};
 pub use residual::{LARGEST_SHARE, in_residual};
 pub use series::{MIN_IN_SERIES, in_series};
+pub(crate) use statistics::cutoff;
 pub use statistics::median;
-pub use statistics::{GROSS, Outlier, cutoff};
+pub use statistics::{GROSS, Outlier};

@@ -25,11 +25,11 @@ pub const CLOCKS: [Clock; 3] = [
 ];
 
 /// Bytes of a line of the flash: one read brings 128 bits (RM0090 3.5.1).
-pub const LINE: u32 = 16;
+pub(crate) const LINE: u32 = 16;
 /// Lines that the cache of the flash holds (RM0090 3.5.2).
-pub const KEPT_LINES: usize = 64;
+pub(crate) const KEPT_LINES: usize = 64;
 /// Cycles in which the pipeline is filled after a branch, at the longest (DDI 0439, table 3-1: 1 to 3).
-pub const REFILL: u64 = 3;
+pub(crate) const REFILL: u64 = 3;
 /// Bytes that the core may have asked for ahead of a branch: three words (DDI 0439, prefetch unit).
 const AHEAD: u32 = 12;
 
@@ -79,7 +79,7 @@ impl Clock {
 
     /// Returns those to the instruction behind.
     #[must_use]
-    pub fn fall(&self, end: u32) -> u64 {
+    pub(crate) fn fall(&self, end: u32) -> u64 {
         if end.is_multiple_of(LINE) { self.flash.into() } else { 0 }
     }
 }

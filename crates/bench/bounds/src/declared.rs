@@ -17,7 +17,7 @@ const WAITS: [&str; 1] = ["stm32f405::within"];
 type Used = (&'static str, usize);
 
 /// The table, the source that it names lines of, and what of it was used.
-pub struct Declared<'a> {
+pub(crate) struct Declared<'a> {
     image: &'a Image,
     /// The table.
     pub table: &'a Table,
@@ -60,7 +60,7 @@ impl<'a> Declared<'a> {
     }
 
     /// Returns whether a whole function is left out of a turn.
-    pub fn is_function_excluded(&self, name: &str) -> bool {
+    pub(crate) fn is_function_excluded(&self, name: &str) -> bool {
         let mut excluded = self.table.excluded.iter().enumerate();
         let found = excluded.find(|(_, it)| it.at.line.is_empty() && name.contains(it.at.function));
         if let Some((number, _)) = found {
@@ -70,7 +70,7 @@ impl<'a> Declared<'a> {
     }
 
     /// Returns whether all of a block that has a place stands for a line that is left out of a turn, or its call does.
-    pub fn is_left_out(&self, block: &Block, is_within_line: bool) -> bool {
+    pub(crate) fn is_left_out(&self, block: &Block, is_within_line: bool) -> bool {
         let with_line = self.table.excluded.iter().filter(|it| !it.at.line.is_empty());
         let of_lines = self.table.lines.iter().filter(|_| is_within_line);
         for excluded in with_line.chain(of_lines) {

@@ -10,7 +10,7 @@ use crate::table::{
 
 /// Microseconds for which the core stands still while a word of the flash is programmed, at the longest (DS8626, flash memory
 /// programming; 16 typically).
-pub const STALL_US: f64 = 100.0;
+pub(crate) const STALL_US: f64 = 100.0;
 
 const fn bound(
     function: &'static str,

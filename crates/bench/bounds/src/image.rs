@@ -108,7 +108,7 @@ impl Image {
 
     /// Returns the function at an address.
     #[must_use]
-    pub fn function_at(&self, at: u32) -> Option<&Function> {
+    pub(crate) fn function_at(&self, at: u32) -> Option<&Function> {
         let (_, function) = self.functions.range(..=at).next_back()?;
         (at < function.end).then_some(function)
     }

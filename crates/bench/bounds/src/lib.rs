@@ -23,7 +23,7 @@ pub mod image;
 pub mod longest;
 pub mod loops;
 pub mod path;
-pub mod pieces;
+pub(crate) mod pieces;
 pub mod program;
 pub mod report;
 pub mod response;

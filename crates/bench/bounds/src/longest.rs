@@ -45,7 +45,7 @@ impl Way for u64 {
 
 /// The cycles, and how often each block is on the path, with the cache and without.
 #[derive(Clone, Debug, Default)]
-pub struct Traced {
+pub(crate) struct Traced {
     cycles: u64,
     /// By the block and whether the cache has it.
     pub visits: BTreeMap<(usize, bool), u64>,
@@ -109,7 +109,7 @@ pub fn ways<W: Way>(
 }
 
 /// Returns the longest of some ways.
-pub fn longest_of<W: Way>(ways: impl Iterator<Item = W>) -> Option<W> {
+pub(crate) fn longest_of<W: Way>(ways: impl Iterator<Item = W>) -> Option<W> {
     ways.max_by_key(Way::cycles)
 }
 

@@ -86,14 +86,14 @@ pub fn components(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<
 
 /// Returns whether a component is a loop: of several blocks, or one that leads to itself.
 #[must_use]
-pub fn is_loop(graph: &Graph, component: &[usize], entry: usize) -> bool {
+pub(crate) fn is_loop(graph: &Graph, component: &[usize], entry: usize) -> bool {
     let [only] = component else { return true };
     *only != entry && graph.blocks[*only].next.iter().any(|edge| edge.to == *only)
 }
 
 /// Returns a component as a loop, entered from the blocks of `within` that are none of it.
 #[must_use]
-pub fn as_loop(graph: &Graph, component: &[usize], within: &BTreeSet<usize>) -> Loop {
+pub(crate) fn as_loop(graph: &Graph, component: &[usize], within: &BTreeSet<usize>) -> Loop {
     let blocks: BTreeSet<usize> = component.iter().copied().collect();
     let is_entered = |block: &usize| {
         let mut before = graph.before[*block].iter();
@@ -151,7 +151,7 @@ pub fn whole(graph: &Graph, within: &BTreeSet<usize>, entry: usize) -> Vec<Vec<u
 
 /// Returns how often the loop goes back to its header at the most, if the code says it.
 #[must_use]
-pub fn derived(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> Option<u32> {
+pub(crate) fn derived(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> Option<u32> {
     if !one.is_reducible {
         return None;
     }
@@ -189,7 +189,7 @@ fn is_passed(graph: &Graph, one: &Loop, block: usize) -> bool {
 
 /// Returns the graph without the ways that a branch by two numbers never takes; `None`: there are none.
 #[must_use]
-pub fn without_dead_ways(image: &Image, graph: &Graph, starts: &[State]) -> Option<Graph> {
+pub(crate) fn without_dead_ways(image: &Image, graph: &Graph, starts: &[State]) -> Option<Graph> {
     let mut blocks = graph.blocks.clone();
     let mut is_changed = false;
     for (number, block) in blocks.iter_mut().enumerate() {
@@ -318,7 +318,7 @@ fn induction(
 
 /// Returns whether a loop is left by the blocks alone that lead back to its header.
 #[must_use]
-pub fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
+pub(crate) fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
     let leaves = |block: &&usize| {
         let block = &graph.blocks[**block];
         block.returns || block.next.iter().any(|edge| !one.blocks.contains(&edge.to))
@@ -330,7 +330,7 @@ pub fn is_tested_behind(graph: &Graph, one: &Loop) -> bool {
 
 /// Returns how many words each round stores at the least, but for those on the stack.
 #[must_use]
-pub fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
+pub(crate) fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
     let stores = |block: usize| {
         let stored = graph.blocks[block].instructions.iter().filter_map(|it| {
             let access = it.access.filter(|access| !access.is_load && it.condition.is_none())?;
@@ -360,7 +360,7 @@ pub fn fewest_stores(graph: &Graph, one: &Loop) -> u32 {
 
 /// Returns the fewest bits by which every round moves a register down; 1: none.
 #[must_use]
-pub fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
+pub(crate) fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
     let passed = one.blocks.iter().filter(|block| is_passed(graph, one, **block));
     let instructions = passed.flat_map(|block| &graph.blocks[*block].instructions);
     let shifts = instructions.filter_map(|it| match it.effect {
@@ -374,7 +374,7 @@ pub fn smallest_shift(graph: &Graph, one: &Loop) -> u32 {
 
 /// Returns the largest number by which each round changes a register, up to 64.
 #[must_use]
-pub fn largest_step(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> u32 {
+pub(crate) fn largest_step(image: &Image, graph: &Graph, starts: &[State], one: &Loop) -> u32 {
     let steps = (0..15).filter_map(|register| induction(image, graph, starts, one, register));
     let sizes = steps.map(|(_, step)| step.cast_signed().unsigned_abs());
     sizes.filter(|size| *size <= 64).max().unwrap_or(1)

@@ -15,7 +15,7 @@ const DEEPEST: usize = 8;
 
 /// Returns whether a function is such a piece.
 #[must_use]
-pub fn is_piece(name: &str) -> bool {
+pub(crate) fn is_piece(name: &str) -> bool {
     name.starts_with("OUTLINED_FUNCTION")
 }
 
@@ -23,7 +23,7 @@ pub fn is_piece(name: &str) -> bool {
 ///
 /// # Errors
 /// A piece cannot be read, or uses itself.
-pub fn put_in(
+pub(crate) fn put_in(
     image: &Image,
     mut blocks: Vec<Block>,
     depth: usize,

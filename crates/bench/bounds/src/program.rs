@@ -109,7 +109,7 @@ impl<'a> Program<'a> {
 
     /// Returns the same for bytes that end no line.
     #[must_use]
-    pub fn within_line(&self) -> Self {
+    pub(crate) fn within_line(&self) -> Self {
         Self {
             image: self.image,
             declared: self.declared.again(),
@@ -125,7 +125,7 @@ impl<'a> Program<'a> {
 
     /// Finds the arguments that point into the RAM in every call below these functions: all of them, until a call shows
     /// that one does not.
-    pub fn find_ram(&self, entries: &[Entry]) {
+    pub(crate) fn find_ram(&self, entries: &[Entry]) {
         let functions = self.image.functions().map(|it| (it.start, 0b1111));
         self.ram.replace(functions.collect());
         for entry in entries {
@@ -186,7 +186,7 @@ impl<'a> Program<'a> {
 
     /// Returns how many loops the code bounds, and how many the table.
     #[must_use]
-    pub fn origins(&self) -> [usize; 2] {
+    pub(crate) fn origins(&self) -> [usize; 2] {
         let mut counts = BTreeMap::new();
         for (entry, prepared) in self.prepared.borrow().iter() {
             for bounded in prepared.iter().flat_map(|it| it.loops.iter().map(move |one| (it, one)))
@@ -201,7 +201,7 @@ impl<'a> Program<'a> {
     }
 
     /// Adds to what is missing.
-    pub fn complain(&self, text: String) {
+    pub(crate) fn complain(&self, text: String) {
         self.problems.borrow_mut().insert(text);
     }
 

@@ -11,7 +11,7 @@ use crate::{
 
 /// Returns declared rounds as those of a loop of the image; `None`: they depend on an argument that is not known.
 #[must_use]
-pub fn of_loop(
+pub(crate) fn of_loop(
     rounds: Rounds,
     image: &Image,
     (graph, starts): (&Graph, &[State]),

@@ -141,7 +141,7 @@ pub struct Table {
 }
 
 /// Functions whose time depends on a length: part of the name, and the number of that argument.
-pub const BY_LENGTH: [(&str, usize); 16] = [
+pub(crate) const BY_LENGTH: [(&str, usize); 16] = [
     // The milliseconds since the last tick. There is one node, so it is no argument.
     ("trueup_node::node::Node::tick", 1),
     ("trueup_firmware::app::tick", 1),
@@ -163,6 +163,6 @@ pub const BY_LENGTH: [(&str, usize); 16] = [
 
 /// Returns which argument of a function is its length, if its time depends on one.
 #[must_use]
-pub fn length_argument(function: &str) -> Option<usize> {
+pub(crate) fn length_argument(function: &str) -> Option<usize> {
     BY_LENGTH.iter().find(|(name, _)| function.contains(name)).map(|(_, argument)| *argument)
 }

@@ -42,7 +42,7 @@ pub struct Bytes {
 impl Task {
     /// Returns whether anything starts it at a clock of that many MHz.
     #[must_use]
-    pub fn runs_at(&self, mhz: u32) -> bool {
+    pub(crate) fn runs_at(&self, mhz: u32) -> bool {
         self.periods_us.get(&Some(mhz)) != Some(&f64::INFINITY)
     }
 
@@ -55,7 +55,7 @@ impl Task {
 
     /// Returns the deadline at a clock of that many MHz, in microseconds.
     #[must_use]
-    pub fn deadline_us(&self, mhz: u32) -> f64 {
+    pub(crate) fn deadline_us(&self, mhz: u32) -> f64 {
         let own = self.deadlines_us.get(&Some(mhz));
         *own.or(self.deadlines_us.get(&None)).expect("each row has one")
     }

@@ -42,7 +42,7 @@ impl Value {
 
     /// Returns it, if it is a number.
     #[must_use]
-    pub fn as_number(self) -> Option<u32> {
+    pub(crate) fn as_number(self) -> Option<u32> {
         (self.base == Base::Nothing).then_some(self.offset)
     }
 
@@ -114,7 +114,7 @@ impl State {
 
     /// Returns whether a register points into the RAM.
     #[must_use]
-    pub fn is_ram(&self, register: u8) -> bool {
+    pub(crate) fn is_ram(&self, register: u8) -> bool {
         register == SP || self.ram >> register & 1 != 0
     }
 
@@ -289,7 +289,7 @@ const PATIENCE: u32 = 64;
 /// A value is the same on all paths that lead to the block, or it is [`Base::Met`]. What a register holds since an
 /// earlier pass of the place that its value is named by gets a name of its own.
 #[must_use]
-pub fn at_starts(
+pub(crate) fn at_starts(
     image: &Image,
     graph: &Graph,
     arguments: [Option<u32>; 4],

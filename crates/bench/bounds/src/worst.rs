@@ -9,7 +9,7 @@ use std::{
 use crate::{
     clock::{Clock, KEPT_LINES, LINE},
     decode::Address,
-    flow::{Edge, Graph},
+    flow::Edge,
     longest::{self, Prices, Repeated, Traced, Way},
     loops::Loop,
     program::{Bounded, Entry, Prepared, Program},
@@ -164,7 +164,7 @@ impl<'a> Worst<'a> {
 
     /// Returns the prices of the blocks of a function.
     #[must_use]
-    pub fn priced(&self, prepared: &Rc<Prepared>) -> Priced {
+    pub(crate) fn priced(&self, prepared: &Rc<Prepared>) -> Priced {
         let count = prepared.graph.blocks.len();
         let of = |is_kept| (0..count).map(|it| self.block(prepared, it, is_kept)).collect();
         let blocks: [Vec<u64>; 2] = [of(false), of(true)];
@@ -266,7 +266,7 @@ fn to_return<W: Way>(prepared: &Prepared, prices: &Priced, within: &BTreeSet<usi
 }
 
 /// The prices of one function.
-pub struct Priced {
+pub(crate) struct Priced {
     prepared: Rc<Prepared>,
     clock: Clock,
     /// Without the cache, and with it.
@@ -299,12 +299,6 @@ impl Priced {
     #[must_use]
     fn kept(self, is_kept: bool) -> Self {
         Self { is_kept, ..self }
-    }
-
-    /// Returns its blocks.
-    #[must_use]
-    pub fn graph(&self) -> &Graph {
-        &self.prepared.graph
     }
 }
 

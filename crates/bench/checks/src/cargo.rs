@@ -9,7 +9,7 @@ use anyhow::Result;
 use trueup_emulator::{process, setup};
 
 /// `cargo <verb> --locked`, to be gone on with.
-pub fn locked(verb: &str) -> Command {
+pub(crate) fn locked(verb: &str) -> Command {
     let mut command = plain(verb);
     command.arg("--locked");
     command
@@ -35,7 +35,7 @@ pub fn tool(name: &str, version: &str) -> Result<PathBuf> {
 ///
 /// # Errors
 /// As [`tool`].
-pub fn fast_tool(name: &str, version: &str, features: &[&str]) -> Result<PathBuf> {
+pub(crate) fn fast_tool(name: &str, version: &str, features: &[&str]) -> Result<PathBuf> {
     installed(name, version, features)
 }
 

@@ -37,7 +37,7 @@ pub fn package() -> Result<PathBuf> {
 ///
 /// # Errors
 /// cargo-deb cannot be had or fails.
-pub fn package_for(target: &str) -> Result<PathBuf> {
+pub(crate) fn package_for(target: &str) -> Result<PathBuf> {
     library(Some(target))?;
     packed(&["--target", target])
 }

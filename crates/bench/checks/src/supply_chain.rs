@@ -11,7 +11,7 @@ use crate::{cargo, tally::Tally};
 ///
 /// # Errors
 /// It is older, or does not say what it is.
-pub fn compiler() -> Result<Tally> {
+pub(crate) fn compiler() -> Result<Tally> {
     let rustc = std::env::var_os("RUSTC").unwrap_or("rustc".into());
     let said = process::output(Command::new(rustc).arg("--version"))?;
     let manifest = std::fs::read_to_string(setup::root().join("Cargo.toml"))?;
@@ -40,7 +40,7 @@ const DENY: &str = "0.20.2";
 ///
 /// # Errors
 /// A crate breaks a rule, or cargo-deny cannot be built.
-pub fn crates() -> Result<Tally> {
+pub(crate) fn crates() -> Result<Tally> {
     let deny = deny()?;
     let check = |what: &[&str]| {
         let mut command = Command::new(&deny);
@@ -101,7 +101,7 @@ fn advisories() -> Result<Advisories> {
 ///
 /// # Errors
 /// cargo-deny cannot be built.
-pub fn known_vulnerabilities() -> Result<(String, Option<String>)> {
+pub(crate) fn known_vulnerabilities() -> Result<(String, Option<String>)> {
     let head = "Known vulnerabilities of the crates in Cargo.lock, by the advisories of the Rust project (RustSec)";
     // The place of the files on this computer is not handed out.
     let plain = |said: String| said.replace(&setup::root().display().to_string(), "/trueup");

@@ -35,18 +35,18 @@ impl Tally {
     }
 
     /// Returns one thing that failed.
-    pub fn fail() -> Self {
+    pub(crate) fn fail() -> Self {
         Self { failed: 1, ..Self::default() }
     }
 
     /// Returns one thing that cannot be had here.
-    pub fn lack(why: &str) -> Self {
+    pub(crate) fn lack(why: &str) -> Self {
         trueup_output::line(format_args!("skipped: {why}"));
         Self { lacking: 1, ..Self::default() }
     }
 
     /// Returns all that did not run.
-    pub fn skipped(&self) -> u32 {
+    pub(crate) fn skipped(&self) -> u32 {
         self.lacking + self.long + self.campaigns
     }
 

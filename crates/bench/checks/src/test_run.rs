@@ -99,7 +99,7 @@ fn compiled(messages: &str) -> Vec<String> {
 ///
 /// # Errors
 /// cargo cannot be started.
-pub fn documentation() -> Result<Tally> {
+pub(crate) fn documentation() -> Result<Tally> {
     let mut command = cargo::locked("test");
     command.arg("--doc").args(SELECTION);
     receive("documentation", &mut command)

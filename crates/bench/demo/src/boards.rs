@@ -53,7 +53,7 @@ impl Bridge for InProcess<'_> {
 }
 
 /// A board that has just started, and the number of the CNC's next frame.
-pub struct Started<'b> {
+pub(crate) struct Started<'b> {
     /// The board.
     pub bridge: &'b mut dyn Bridge,
     /// The number.
@@ -93,7 +93,7 @@ impl Boards {
     ///
     /// # Errors
     /// The emulator does not start, the board refuses, or those of `work`.
-    pub fn run_loaded<T>(
+    pub(crate) fn run_loaded<T>(
         &self,
         old: &Compiled,
         new: &Compiled,

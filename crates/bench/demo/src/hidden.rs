@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// The smallest fault that is hidden, as a multiple of the RMS of the noise: one that a record of this length shows.
-pub const MIN_RATIO: f64 = 3.0;
+pub(crate) const MIN_RATIO: f64 = 3.0;
 /// Faults are drawn from a little above that to this multiple of the noise.
 const RATIOS: [f64; 2] = [1.1 * MIN_RATIO, 10.0];
 /// A fault that must be larger than this to be seen is none of this machine: as in
@@ -30,7 +30,7 @@ const RATIOS: [f64; 2] = [1.1 * MIN_RATIO, 10.0];
 const LARGEST_SIZE: f64 = 8.0;
 /// Minimum difference of BIC from each rival law: Kass and Raftery (1995) call it
 /// strong; the rule of a diagnosis as well.
-pub const MIN_GAP: f64 = 6.0;
+pub(crate) const MIN_GAP: f64 = 6.0;
 /// A bridge's monitor writes down all the time what the bridge knows: a row at least so often, in s, also
 /// while an axis works and no gauge is read. A scale that follows its air for hours has done so between
 /// the measurements too.
@@ -175,7 +175,7 @@ impl Hidden {
     ///
     /// # Errors
     /// There is no gauge.
-    pub fn unread(&self, run: &RunFile) -> Result<RunFile> {
+    pub(crate) fn unread(&self, run: &RunFile) -> Result<RunFile> {
         let nothing = run.require(&self.measured())?.iter().map(|um| 0.0 * um).collect();
         with_columns(run, &[(self.measured(), nothing)])
     }

@@ -26,7 +26,7 @@ use trueup_pipe::Block;
 use crate::boards::Bridge;
 
 /// How long a row of a run without time is held: filter and slew have come to rest by then.
-pub const STILL_S: f64 = 0.5;
+pub(crate) const STILL_S: f64 = 0.5;
 /// How long the first row of a run with time is held, for which what has a memory is at rest; filters have
 /// settled before it.
 const FIRST_S: f64 = 0.02;
@@ -284,7 +284,7 @@ fn changes_c(run: &RunFile) -> Vec<f64> {
 ///
 /// # Errors
 /// There is no time.
-pub fn most_faster(run: &RunFile) -> Result<f64> {
+pub(crate) fn most_faster(run: &RunFile) -> Result<f64> {
     /// Change that a board takes at once, in K.
     const AT_ONCE_C: f64 = 0.5;
     let times = run.require("time_s")?;

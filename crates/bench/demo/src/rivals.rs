@@ -51,7 +51,7 @@ struct Law {
 
 /// How far the right answer is from others, as differences of BIC.
 #[derive(Clone, Copy, Debug)]
-pub struct Gaps {
+pub(crate) struct Gaps {
     /// By how much the best answer is worse that stands in its place: a fault is not named, or a law of no
     /// fault takes the place of one of its own, with no constant more.
     pub instead: f64,
@@ -61,7 +61,7 @@ pub struct Gaps {
 
 /// Of hidden faults, each with what it does to every row, under noise of this RMS in µm.
 #[must_use]
-pub fn gaps(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> Gaps {
+pub(crate) fn gaps(record: &Record<'_>, faults: &[(Fault, &[f64])], noise_um: f64) -> Gaps {
     let laws = if record.is_axis { axis_laws(record) } else { spindle_laws(record) };
     let rows = record.run.rows();
     let all: Vec<f64> =

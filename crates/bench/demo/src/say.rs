@@ -154,7 +154,7 @@ impl ActTwo {
 impl Outcome {
     /// Returns whether it was right, and what it was worth, in sentences.
     #[must_use]
-    pub fn judgement(&self) -> String {
+    pub(crate) fn judgement(&self) -> String {
         let right = match (self.all_right, self.wrong.is_empty()) {
             (true, _) => "All that was hidden is named, and nothing else is claimed.".to_string(),
             (false, true) => format!("Not all was found: {} is missing.", self.missed.join(", ")),

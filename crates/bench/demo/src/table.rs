@@ -36,7 +36,7 @@ pub fn with_columns(run: &RunFile, more: &[(String, Vec<f64>)]) -> Result<RunFil
 ///
 /// # Errors
 /// The column is not there.
-pub fn without_readings(
+pub(crate) fn without_readings(
     run: &RunFile,
     measured: &str,
     is_hidden: impl Fn(usize) -> bool,

@@ -11,7 +11,7 @@ use object::{
 /// Where the flash of the chip begins.
 pub const FLASH_START: u32 = 0x0800_0000;
 /// Its size in bytes.
-pub const FLASH_SIZE: usize = 1024 * 1024;
+pub(crate) const FLASH_SIZE: usize = 1024 * 1024;
 
 /// Returns what is to be written from [`FLASH_START`] on. Gaps are as erased flash.
 ///

@@ -110,7 +110,7 @@ impl LiveChip {
 
     /// Returns what the image has logged since it was last asked.
     #[must_use]
-    pub fn take_log(&self) -> Vec<String> {
+    pub(crate) fn take_log(&self) -> Vec<String> {
         std::mem::take(&mut self.log.lock().unwrap_or_else(PoisonError::into_inner))
     }
 

@@ -42,7 +42,7 @@ impl Board {
 /// Returns a cargo command that compiles for the board: `cargo <verb> --target … --features …`.
 ///
 /// # Errors
-/// There is no way to the target; see [`crate::setup::toolchain`].
+/// There is no way to the target; see `crate::setup::toolchain`.
 pub fn cargo(verb: &str, board: Board) -> Result<(Command, PathBuf)> {
     cargo_for(verb, board.feature())
 }

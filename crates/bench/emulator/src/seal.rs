@@ -42,7 +42,7 @@ pub fn seal(image: &Path) -> Result<()> {
 ///
 /// # Errors
 /// The image cannot be read or written, or has no such symbol with that many bytes.
-pub fn write_at(image: &Path, name: &str, content: &[u8]) -> Result<()> {
+pub(crate) fn write_at(image: &Path, name: &str, content: &[u8]) -> Result<()> {
     let mut bytes = fs::read(image).with_context(|| image.display().to_string())?;
     let (_, place) = find(&bytes, name).with_context(|| format!("the image has no {name}"))?;
     let at = bytes.get_mut(place..place + content.len()).context("beyond the image")?;

@@ -24,7 +24,7 @@ pub const TOOLCHAIN_VARIABLE: &str = "TRUEUP_TOOLCHAIN";
 
 /// The compiler of the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Toolchain {
+pub(crate) enum Toolchain {
     /// The compiler that runs this, with the target added by rustup.
     Rustup,
     /// The distribution's compiler, which builds `core` from the distribution's source.
@@ -52,7 +52,7 @@ pub fn root() -> PathBuf {
 ///
 /// # Errors
 /// Neither way works here; the error has both reasons.
-pub fn toolchain() -> Result<Toolchain> {
+pub(crate) fn toolchain() -> Result<Toolchain> {
     let _alone = alone()?;
     let forced = std::env::var(TOOLCHAIN_VARIABLE).unwrap_or_default();
     match forced.as_str() {

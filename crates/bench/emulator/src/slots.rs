@@ -72,7 +72,7 @@ pub fn build_slot_test_with_key(slot: Slot, key: &Path) -> Result<PathBuf> {
 /// `cargo <verb>`.
 ///
 /// # Errors
-/// There is no way to the target; see [`setup::toolchain`].
+/// There is no way to the target; see `setup::toolchain`.
 pub fn cargo(verb: &str) -> Result<[Command; 2]> {
     let (mut boot, _) = compile::cargo_for(verb, "slot-test")?;
     boot.args(["--bin", "trueup-boot-program", "--bin", "trueup-slot-test"]);

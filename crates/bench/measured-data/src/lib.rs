@@ -13,7 +13,7 @@ use std::{
 };
 
 /// The environment variable that names the folder.
-pub const VARIABLE: &str = "TRUEUP_DATA";
+pub(crate) const VARIABLE: &str = "TRUEUP_DATA";
 
 /// Returns the path of a measured file, `None` where it is not there; a line says so then.
 ///

@@ -123,7 +123,7 @@ static ROUNDS_256: [u32; 64] = upper(&ROUNDS);
 static ROUNDS_512: [u64; 80] = ROUNDS;
 
 /// The words of one of the two, with blocks of that many bytes.
-pub trait Word<const BLOCK: usize>: Copy {
+pub(crate) trait Word<const BLOCK: usize>: Copy {
     /// The state before the first block.
     const START: [Self; 8];
 
@@ -133,7 +133,7 @@ pub trait Word<const BLOCK: usize>: Copy {
 
 /// A hash that goes on.
 #[derive(Clone, Debug)]
-pub struct Hash<W, const BLOCK: usize> {
+pub(crate) struct Hash<W, const BLOCK: usize> {
     state: [W; 8],
     block: [u8; BLOCK],
     /// Bytes in `block`, fewer than it has.
@@ -142,9 +142,9 @@ pub struct Hash<W, const BLOCK: usize> {
 }
 
 /// SHA-256.
-pub type Sha256 = Hash<u32, 64>;
+pub(crate) type Sha256 = Hash<u32, 64>;
 /// SHA-512.
-pub type Sha512 = Hash<u64, 128>;
+pub(crate) type Sha512 = Hash<u64, 128>;
 
 impl<W: Word<BLOCK>, const BLOCK: usize> Hash<W, BLOCK> {
     /// Returns the hash of nothing yet.

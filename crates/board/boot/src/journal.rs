@@ -103,11 +103,6 @@ impl<F: NorFlash> Journal<F> {
         self.state
     }
 
-    /// Returns whether nothing that a power cut has left can change the state at the next start.
-    pub const fn is_settled(&self) -> bool {
-        self.is_settled
-    }
-
     /// Writes the believed state again if it is not settled, and into the other sector if there is too little room
     /// for an application's own.
     ///
@@ -128,7 +123,7 @@ impl<F: NorFlash> Journal<F> {
     /// Stores a state; it counts from now on, whatever happens.
     ///
     /// # Errors
-    /// [`NotStored`]; the state before it still counts, or this one: [`Self::is_settled`] is false.
+    /// [`NotStored`]; the state before it still counts, or this one; [`Self::settle`] decides it.
     pub fn commit(&mut self, state: State) -> Result<(), NotStored> {
         if self.is_settled && self.state == state { Ok(()) } else { self.write(state) }
     }
@@ -250,12 +245,12 @@ mod tests {
     #[test]
     fn the_last_state_counts_through_more_than_the_flash_holds() {
         let mut journal = Journal::open(Flash::erased());
-        assert!(journal.is_settled());
+        assert!(journal.is_settled);
         assert_eq!(journal.state(), State::default());
         for number in 1..100 {
             journal.commit(state(number)).unwrap();
             journal = reopened(journal);
-            assert_eq!((journal.state(), journal.is_settled()), (state(number), true));
+            assert_eq!((journal.state(), journal.is_settled), (state(number), true));
         }
     }
 
@@ -298,10 +293,10 @@ mod tests {
             *byte = (random >> 24) as u8;
         }
         let mut journal = Journal::open(flash);
-        assert_eq!((journal.state(), journal.is_settled()), (State::default(), false));
+        assert_eq!((journal.state(), journal.is_settled), (State::default(), false));
         journal.settle().unwrap();
         journal = reopened(journal);
-        assert_eq!((journal.state(), journal.is_settled()), (State::default(), true));
+        assert_eq!((journal.state(), journal.is_settled), (State::default(), true));
         journal.commit(state(1)).unwrap();
         assert_eq!(reopened(journal).state(), state(1));
     }
@@ -310,7 +305,7 @@ mod tests {
     fn a_dead_flash_takes_nothing_and_says_so() {
         let mut journal = Journal::open(Flash { dead: true, ..Flash::erased() });
         assert_eq!(journal.commit(state(1)), Err(NotStored));
-        assert_eq!((journal.state(), journal.is_settled()), (State::default(), false));
+        assert_eq!((journal.state(), journal.is_settled), (State::default(), false));
     }
 
     /// Ends three starts in a row at these places, with a new state each, and panics if a state that was read and

@@ -82,7 +82,7 @@ impl Slot {
     }
 
     /// As [`Self::of`], to change it.
-    pub const fn of_mut<T>(self, pair: &mut [T; 2]) -> &mut T {
+    pub(crate) const fn of_mut<T>(self, pair: &mut [T; 2]) -> &mut T {
         let [a, b] = pair;
         match self {
             Self::A => a,

@@ -38,7 +38,7 @@ mod crc;
 #[cfg(test)]
 mod cuts;
 pub mod handover;
-pub mod hash;
+mod hash;
 pub mod header;
 pub mod inspect;
 pub mod journal;

@@ -20,7 +20,7 @@ use crate::{
 /// Bytes of a sector of the records: room for four states.
 pub const RECORDS: usize = 8 * ENTRY_SIZE;
 /// Bytes of a slot.
-pub const SLOT: usize = HEADER_SIZE + 128;
+pub(crate) const SLOT: usize = HEADER_SIZE + 128;
 
 /// The supply of both flashes: bytes that can still be written or erased, and whether it is off.
 #[derive(Clone, Debug, Default)]
@@ -50,7 +50,7 @@ impl Supply {
 
 /// A flash at a supply.
 #[derive(Debug)]
-pub struct Powered<const SECTOR: usize> {
+pub(crate) struct Powered<const SECTOR: usize> {
     pub flash: StrictFlash<SECTOR>,
     pub supply: Supply,
 }
@@ -130,7 +130,7 @@ pub fn image(slot: Slot, version: u8, floor: u8) -> Vec<u8> {
 }
 
 /// As [`image`], by another key.
-pub fn signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
+pub(crate) fn signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
     let body: Vec<u8> =
         (0..64).map(|n: u8| n.wrapping_mul(version).wrapping_add(slot.number())).collect();
     let [version, floor] = [version, floor].map(|minor| Version::new(0, minor, 0, 0));
@@ -142,14 +142,14 @@ pub fn signed_by(key: TestKey, slot: Slot, version: u8, floor: u8) -> Vec<u8> {
 }
 
 /// Writes a file as a probe does.
-pub fn flash_by_probe(slots: &mut StrictFlash<SLOT>, slot: Slot, file: &[u8]) {
+pub(crate) fn flash_by_probe(slots: &mut StrictFlash<SLOT>, slot: Slot, file: &[u8]) {
     let start = usize::from(slot.number()) * SLOT;
     slots.bytes[start..start + SLOT].fill(0xFF);
     slots.bytes[start..start + file.len()].copy_from_slice(file);
 }
 
 /// Runs work with both flashes at a supply.
-pub fn powered<T>(
+pub(crate) fn powered<T>(
     records: &mut StrictFlash<RECORDS>,
     slots: &mut StrictFlash<SLOT>,
     supply: &Supply,

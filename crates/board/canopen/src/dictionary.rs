@@ -4,7 +4,7 @@
 //! printed from the same table by [`eds`]; a test holds the two against each other. The objects
 //! below 0x2000 are those of CiA 301. The analogue inputs (from 0x6131 on) are shaped after
 //! CiA 404: eight temperatures, then the elongation. 0x9130 holds their process values as 32-bit
-//! integers of [`DIGITS`] decimals. Objects without a standard place are manufacturer-specific, from 0x2000 on.
+//! integers of `DIGITS` decimals. Objects without a standard place are manufacturer-specific, from 0x2000 on.
 //!
 //! The offsets themselves and the frames of the CNC are not mapped PDOs: they are protected end to
 //! end, and `trueup.dbc` describes them.
@@ -19,7 +19,7 @@ mod table;
 pub use table::OBJECTS;
 
 /// Decimals of the process values: thousandths of a degree, thousandths of a micrometre.
-pub const DIGITS: u8 = 3;
+pub(crate) const DIGITS: u8 = 3;
 /// A process value or an offset that is not available.
 pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// Number that drops the reference when it is written: the bytes `zero`, low byte first, so that no stray write does
@@ -93,7 +93,7 @@ pub enum Access {
 impl Access {
     /// Returns whether a master may write it.
     #[must_use]
-    pub const fn can_write(self) -> bool {
+    pub(crate) const fn can_write(self) -> bool {
         matches!(self, Self::ReadWrite | Self::Write)
     }
 }

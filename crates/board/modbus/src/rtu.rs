@@ -106,7 +106,7 @@ impl Slave {
     }
 
     /// Takes note of a byte that came damaged: its parity or its stop bit was wrong, or one was lost.
-    pub fn receive_damaged(&mut self, now_us: u32) {
+    pub(crate) fn receive_damaged(&mut self, now_us: u32) {
         self.receive(now_us, 0);
         self.is_broken = true;
     }

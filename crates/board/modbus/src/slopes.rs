@@ -20,9 +20,9 @@ use crate::{
 /// Registers of the block.
 pub const LEN: usize = INPUT_LEN + 4;
 /// The number of this layout.
-pub const LAYOUT_WITH_SLOPES: u16 = 2;
+pub(crate) const LAYOUT_WITH_SLOPES: u16 = 2;
 /// The data ID of the CRC over all of it.
-pub const DATA_ID: u16 = 0x0381;
+pub(crate) const DATA_ID: u16 = 0x0381;
 
 /// K₀ in 0.1 µm and the slope in 0.1 µm/m of an axis.
 pub type Part = (i16, i16);

@@ -55,22 +55,22 @@ pub struct Register {
 }
 
 /// The number in [`LAYOUT`]: another means another table.
-pub const LAYOUT_NUMBER: u16 = 1;
+pub(crate) const LAYOUT_NUMBER: u16 = 1;
 /// The data ID of the input block, which its CRC covers: the CAN identifier of `OffsetXY`.
-pub const INPUT_DATA_ID: u16 = trueup_link::layout::OFFSET_XY_ID;
+pub(crate) const INPUT_DATA_ID: u16 = trueup_link::layout::OFFSET_XY_ID;
 /// The data ID of the holding block: the CAN identifier of `Control`.
-pub const HOLDING_DATA_ID: u16 = trueup_link::layout::CONTROL_ID;
+pub(crate) const HOLDING_DATA_ID: u16 = trueup_link::layout::CONTROL_ID;
 /// The data ID of the holding block with tool and conditions: the CAN identifier of `Conditions`.
-pub const CONDITIONS_DATA_ID: u16 = trueup_link::layout::CONDITIONS_ID;
+pub(crate) const CONDITIONS_DATA_ID: u16 = trueup_link::layout::CONDITIONS_ID;
 /// The offset and the elongation that mean "not available".
 pub const NOT_AVAILABLE: i32 = i32::MIN;
 /// The temperature that means "not available".
-pub const NO_TEMPERATURE: i16 = i16::MIN;
+pub(crate) const NO_TEMPERATURE: i16 = i16::MIN;
 
 /// Where the two registers stand that a master's order of words is tried with, next to both blocks.
-pub const WORD_ORDER_ADDRESS: usize = 100;
+pub(crate) const WORD_ORDER_ADDRESS: usize = 100;
 /// Their content: 16 909 060 (0x01020304) where the high word comes first.
-pub const WORD_ORDER: [u16; 2] = [0x0102, 0x0304];
+pub(crate) const WORD_ORDER: [u16; 2] = [0x0102, 0x0304];
 
 macro_rules! block {
     ($(#[$doc:meta])* $all:ident, $len:ident: $($const:ident $address:literal $form:ident $name:literal $unit:literal $text:literal;)*) => {

@@ -29,7 +29,7 @@ use trueup_link::{
         STATUS_PERIOD_MS,
     },
     receiver::{Receiver, Refused},
-    status::{self, Reason, ResetReason, Status},
+    status::{self, Reason, Status},
 };
 use trueup_store::{
     calibration::identity,
@@ -220,11 +220,6 @@ impl<'a> Node<'a> {
     /// Notes whether this is wrong with the board now: for what may go again.
     pub fn set_fault_if(&mut self, is_there: bool, fault: Fault) {
         self.board_faults = self.board_faults.without(fault).with_if(is_there, fault);
-    }
-
-    /// Notes why the board last started.
-    pub fn note_reset(&mut self, reason: ResetReason) {
-        self.start.reason = reason;
     }
 
     /// Notes where the last start stopped, and how often the board has started.

@@ -16,7 +16,7 @@ use ed25519_dalek::{
 };
 
 /// Bytes of a signature.
-pub const SIGNATURE_BYTES: usize = 64;
+pub(crate) const SIGNATURE_BYTES: usize = 64;
 
 /// Errors of a key or a signature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +25,7 @@ pub enum Fault {
     NoPrivateKey,
     /// The text is no public key of Ed25519 in PEM.
     NoPublicKey,
-    /// The signature does not have [`SIGNATURE_BYTES`] bytes.
+    /// The signature does not have `SIGNATURE_BYTES` bytes.
     WrongLength,
     /// The message was changed, or was signed with another key.
     DoesNotHold,

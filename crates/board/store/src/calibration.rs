@@ -1,7 +1,7 @@
 //! The calibration as the host sends it and the board stores it: one blob, little-endian, read in
 //! place.
 //!
-//! A fixed part of [`FIXED_SIZE`] bytes, the tables that it refers to, and a CRC. A table is given by
+//! A fixed part of `FIXED_SIZE` bytes, the tables that it refers to, and a CRC. A table is given by
 //! a reference: `u16` offset from the start of the blob, `u16` number of records.
 //!
 //! | offset | field | unit |
@@ -86,10 +86,11 @@ mod volume;
 mod wire;
 
 pub use error::{BlobError, TooLarge};
+pub(crate) use format::FIXED_SIZE;
 use format::{CRC_SIZE, HEAD_SIZE};
 pub use format::{
-    FIXED_SIZE, MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS,
-    MAX_OFFSET_NM, MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
+    MAGIC, MAX_COLD_WITHIN, MAX_HOLD_MS, MAX_LEARNED, MAX_LINK_TIMEOUT_MS, MAX_OFFSET_NM,
+    MAX_REJOIN_NM_PER_S, MAX_SIZE, MAX_SLEW_NM_PER_S, SCHEMA,
 };
 use records::FixedPart;
 use wire::{Field as _, Reader, Writer};

@@ -205,7 +205,7 @@ impl<F: NorFlash> Log<F> {
     }
 
     /// Makes this half the active one, so that [`Self::make_room`] leaves it alone.
-    pub fn activate(&mut self, half: Half) {
+    pub(crate) fn activate(&mut self, half: Half) {
         self.active = half;
     }
 
@@ -215,7 +215,7 @@ impl<F: NorFlash> Log<F> {
     }
 
     /// Returns whether there is anything in the half that is not active.
-    pub fn has_spare_content(&mut self) -> bool {
+    pub(crate) fn has_spare_content(&mut self) -> bool {
         self.content(self.active.other()).used > 0
     }
 

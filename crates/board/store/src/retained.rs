@@ -29,7 +29,7 @@ const LAG_SIZE: usize = 28;
 pub const SIZE: usize = HEAD + MAX_LAGS * LAG_SIZE + 4;
 const _: () = assert!(SIZE == 612);
 /// A machine that was off for longer has not stood there: its clock is wrong.
-pub const LONGEST_OFF_S: u32 = 366 * DAY_S;
+pub(crate) const LONGEST_OFF_S: u32 = 366 * DAY_S;
 
 /// The two copies.
 pub type Copies = [[u8; SIZE]; 2];
@@ -51,7 +51,7 @@ pub fn load(copies: &Copies) -> Option<RetainedState> {
 
 /// Returns the seconds without power, by the clock that now says `now_s`. `None`: not known, because there is no whole
 /// copy, or no clock, or the clock was not there when it was written, has been set back, or says that it was longer
-/// than [`LONGEST_OFF_S`].
+/// than `LONGEST_OFF_S`.
 #[must_use]
 pub fn off_s(copies: &Copies, now_s: Option<u32>) -> Option<u32> {
     let (written_s, _) = newest(copies)?;

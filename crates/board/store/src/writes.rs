@@ -14,7 +14,7 @@
 //! | 24 | `u32` layout, 2 | |
 //! | 28 | CRC-32/AUTOSAR of the 28 bytes before it | |
 //!
-//! The object has the first 24 bytes of each, the oldest of the last [`KEPT`] first.
+//! The object has the first 24 bytes of each, the oldest of the last `KEPT` first.
 
 use trueup_core::calibration::Names;
 
@@ -23,7 +23,7 @@ use crate::crc;
 /// Bytes of a write in the object.
 pub const SIZE: usize = 24;
 /// Writes that the object holds.
-pub const KEPT: usize = 16;
+pub(crate) const KEPT: usize = 16;
 /// The layout of a record of a write.
 pub(crate) const LAYOUT: u32 = 2;
 

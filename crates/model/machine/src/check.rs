@@ -42,7 +42,7 @@ use crate::{file::Machine, run_file::RunFile};
 
 pub use conditions::conditions;
 pub use nothing::corrects_nothing;
-pub use range::{Finding, Grade, RANGES, Range, refusal};
+pub use range::{Finding, Grade, Range, refusal};
 pub use summary::{AxisSummary, Summary};
 pub use warning::Warning;
 

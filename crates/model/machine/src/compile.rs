@@ -2,7 +2,7 @@
 //!
 //! One page a section of the machine file, with both ways next to each other: what goes there and
 //! what comes back is seen together. Each part is held against the model, and refused where it is
-//! further from it than [`LARGEST_DIFFERENCE_NM`]; a page says how it is measured.
+//! further from it than `LARGEST_DIFFERENCE_NM`; a page says how it is measured.
 //!
 //! The way back, [`inverse`], gives a machine that compiles to the calibration: the board knows
 //! readings, not the PLC's counts, and neither the machine's name nor those of its columns.
@@ -42,16 +42,13 @@ use spindle::SpindleTables;
 use squareness::{compile_squareness, crossed};
 use volume::OwnedVolume;
 
-pub use account::LARGEST_DIFFERENCE_NM;
-pub use inputs::{SHOWN_INPUT, missing_inputs};
+pub(crate) use inputs::SHOWN_INPUT;
+pub use inputs::missing_inputs;
 pub(crate) use inputs::{conditions, free_bit};
 pub(crate) use lag::time_constant_s;
 pub(crate) use sensor::UM_PER_COUNT_OF_NO_SLOPE;
-pub use sensor::stored_law_nm;
-pub use slope::{
-    SLOWEST_FEED_MM_PER_S, Slope, check_slopes, of_curve, of_effect, of_table, steepest_um_per_mm,
-    too_steep,
-};
+pub(crate) use sensor::stored_law_nm;
+pub use slope::{Slope, check_slopes, of_curve, of_table, steepest_um_per_mm, too_steep};
 
 /// A machine in the integers of the board.
 #[derive(Clone, Debug, PartialEq)]
@@ -91,7 +88,7 @@ impl Compiled {
 ///
 /// # Errors
 /// Something that is in use is not described in `[inputs]`, a value does not fit the board's integer
-/// for it, a part would be further than [`LARGEST_DIFFERENCE_NM`] from the model, a slope is beyond
+/// for it, a part would be further than `LARGEST_DIFFERENCE_NM` from the model, a slope is beyond
 /// what [`check_slopes`] lets pass, terms leave what is possible ([`envelope::refuse`]), or all of it does not fit the board; with the key and, for a machine that
 /// was read from a file, its place.
 pub fn compile(machine: &Machine) -> Result<Compiled, BadInput> {
@@ -168,7 +165,7 @@ pub const UNNAMED: &str = "shown";
 
 /// Returns a machine that compiles to `calibration`, or as nearly as the machine file can say it.
 ///
-/// Counts are ADC codes ([`SHOWN_INPUT`]), the temperature of channel 3 is `temp_ch3_c`, a machine without
+/// Counts are ADC codes (`SHOWN_INPUT`), the temperature of channel 3 is `temp_ch3_c`, a machine without
 /// a name is called `shown`; its tool direction is written in few decimals and not of length 1.
 #[must_use]
 pub fn inverse(calibration: &Calibration<'_>) -> Machine {

@@ -32,7 +32,7 @@ pub use axis::{
 };
 pub use chain::Chain;
 pub use limits::{LearnedCaps, Limits};
-pub use machine::{Kind, Machine, board_text};
+pub use machine::{Kind, Machine};
 pub use read::is_temperature_column;
 pub use spindle::{ElongationSource, SensorModel, Spindle, TemperatureModel, Warmup};
 pub use straightness::{BSpline, SplineFault, Squareness, Straightness};

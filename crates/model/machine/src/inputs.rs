@@ -60,12 +60,12 @@ pub struct TemperatureInput {
     pub channel: u8,
     /// The meaning of its counts.
     pub kind: TemperatureKind,
-    /// How fast it may change in K/min, within [`RATES_C_PER_MIN`]; `None`: the board's default where a law uses it.
+    /// How fast it may change in K/min, within `RATES_C_PER_MIN`; `None`: the board's default where a law uses it.
     pub max_c_per_min: Option<f64>,
 }
 
 /// Lowest and highest limit that may be stated for a thermometer's rate of change, by what its mass can do, in K/min.
-pub const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
+pub(crate) const RATES_C_PER_MIN: [f64; 2] = [0.1, 600.0];
 
 /// The meaning of the counts of a temperature channel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,7 +113,7 @@ pub enum CountScale {
 impl CountScale {
     /// Returns the codes of the board's converter for one count.
     #[must_use]
-    pub fn codes_per_count(self) -> f64 {
+    pub(crate) fn codes_per_count(self) -> f64 {
         let codes_per_v = f64::from(Code::FULL_SCALE) / REFERENCE_VOLTS;
         match self {
             Self::Code => 1.0,
@@ -126,7 +126,7 @@ impl CountScale {
 
     /// Returns the largest count that the transmitter gives.
     #[must_use]
-    pub fn largest_count(self) -> f64 {
+    pub(crate) fn largest_count(self) -> f64 {
         match self {
             Self::Code => f64::from(Code::FULL_SCALE),
             Self::Volt { full_scale_v, .. } => full_scale_v,
@@ -163,7 +163,7 @@ impl LinearInput {
     /// board takes it for a broken wire or a short circuit, up to the transmitter's full scale, and within ±500 °C.
     /// `None` where nothing is left.
     #[must_use]
-    pub fn reach_c(&self) -> Option<[f64; 2]> {
+    pub(crate) fn reach_c(&self) -> Option<[f64; 2]> {
         let last = self.scale.largest_count() * self.scale.codes_per_count();
         let lowest = f64::from(LOW_RAIL.0) + 1.0;
         let highest = last.min(f64::from(HIGH_RAIL.0) - 1.0);
@@ -203,20 +203,20 @@ impl SensorInput {
 
     /// Returns the counts that give `codes`, the inverse of [`Self::codes_from_counts`].
     #[must_use]
-    pub fn counts_from_codes(&self, codes: f64) -> f64 {
+    pub(crate) fn counts_from_codes(&self, codes: f64) -> f64 {
         codes / self.codes_per_count()
     }
 
     /// Reading units at full resolution: not rounded.
     #[must_use]
-    pub fn exact_reading_from_counts(&self, counts: f64) -> f64 {
+    pub(crate) fn exact_reading_from_counts(&self, counts: f64) -> f64 {
         self.codes_from_counts(counts) * f64::from(READINGS_PER_CODE)
     }
 
     /// Returns the nearest reading, at most half a unit (1/2048 code) off; saturates at the ends of `i32`,
     /// and a missing count (NaN) reads 0.
     #[must_use]
-    pub fn reading_from_counts(&self, counts: f64) -> Reading {
+    pub(crate) fn reading_from_counts(&self, counts: f64) -> Reading {
         // A cast from f64 saturates and takes NaN to 0.
         Reading(self.exact_reading_from_counts(counts).round() as i32)
     }

@@ -35,7 +35,7 @@ mod term;
 mod thermal;
 mod volume;
 
-pub use by_tool::growth_by_tool;
+pub(crate) use by_tool::growth_by_tool;
 pub use elongation::{
     WarmupState, elongation_um, heating, sensor_counts, temperature_elongation_um, warmup_um,
 };
@@ -44,7 +44,7 @@ pub use lag::Lag;
 pub use late::{part_of_means, part_temperature, part_temperatures};
 pub use pitch::{backlash_um, dual_pitch_um, is_reverse, pitch_um};
 pub use reversal::over_compensation_um;
-pub use straightness::{spline_um, spline_weights, squareness_um};
+pub use straightness::{spline_um, squareness_um};
 pub use term::{Falling, corrected, shifted, shifted_at, time_shift_s};
 pub use thermal::{thermal_law, thermal_um};
 pub use volume::volume_um;

@@ -55,7 +55,7 @@ pub const COLUMNS: [&str; 8] = [
 
 /// One bit of an offset on the wire, in nm: what fixed-point arithmetic may add to the differences that
 /// [`compile`](crate::compile()) states, because it cannot be seen.
-pub const WIRE_STEP_NM: f64 = 10.0;
+pub(crate) const WIRE_STEP_NM: f64 = 10.0;
 
 /// Both sides for one row; a value that cannot be predicted is NaN on both.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -158,7 +158,7 @@ impl<'a> Predictor<'a> {
     }
 
     /// Returns the largest difference between bridge and model that `compile` promises, in nm: those of all parts of
-    /// the calibration together, and [`WIRE_STEP_NM`]. `None` without a bridge.
+    /// the calibration together, and `WIRE_STEP_NM`. `None` without a bridge.
     #[must_use]
     pub fn promised_nm(&self) -> Option<f64> {
         let bridge = self.bridge.as_ref().ok()?;

@@ -6,7 +6,7 @@
 //! time of day (ISO 8601) it is read as seconds from the first one of the file.
 //!
 //! The file is read line by line, one line a row, and its memory is that of its values: 12 bytes
-//! each. It is bounded: by [`MAX_BYTES`], [`MAX_COLUMNS`] and [`MAX_VALUES`], and a line by
+//! each. It is bounded: by [`MAX_BYTES`], [`MAX_COLUMNS`] and `MAX_VALUES`, and a line by
 //! 1 MiB.
 
 mod cells;
@@ -38,9 +38,11 @@ use crate::{
 };
 use table::{Bounds, ColumnTypo, Table};
 
-pub use table::{Column, MAX_BYTES, MAX_COLUMNS, MAX_VALUES};
+pub(crate) use table::MAX_VALUES;
+pub use table::{Column, MAX_BYTES, MAX_COLUMNS};
 
-pub use known::{KNOWN_COLUMNS, KnownColumn, is_known_column};
+pub use known::is_known_column;
+pub(crate) use known::{KNOWN_COLUMNS, KnownColumn};
 
 /// A measured run.
 #[derive(Clone, Debug)]
@@ -84,7 +86,7 @@ impl RunFile {
     /// fewer fields than the header; text, a decimal comma or an infinite value where a number
     /// belongs; `time_s` that runs back while `run` stays the same; `dir_*` other than 1 and −1;
     /// text that is not UTF-8; a source that cannot be read; more than [`MAX_BYTES`],
-    /// [`MAX_COLUMNS`] or [`MAX_VALUES`]. All that is wrong with a file is reported at once, up to
+    /// [`MAX_COLUMNS`] or `MAX_VALUES`. All that is wrong with a file is reported at once, up to
     /// [`MAX_LISTED`](crate::location::MAX_LISTED) faults with their places.
     pub fn from_reader(source: impl BufRead, path: &Path) -> Result<Self, BadInput> {
         Self::within(Bounds { bytes: MAX_BYTES, values: MAX_VALUES }, source, path)

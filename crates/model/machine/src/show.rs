@@ -23,8 +23,6 @@ use crate::{
 };
 use difference::difference_nm;
 
-pub use crate::compile::SHOWN_INPUT;
-
 /// A calibration as a machine file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {

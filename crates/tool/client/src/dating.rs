@@ -166,7 +166,7 @@ impl Dating {
     }
 
     /// Returns whether what is sent now arrives in a moment, as far as can be known.
-    pub fn may_send(&self, now: Instant) -> bool {
+    pub(crate) fn may_send(&self, now: Instant) -> bool {
         let is_heard =
             self.last_byte.is_some_and(|last| now.saturating_duration_since(last) <= SILENCE);
         if self.is_mute(now) { is_heard } else { self.is_proven(now, UNHEARD) }

@@ -55,21 +55,21 @@ pub const RESETS: At = (0x2003, 1);
 /// Frames of the CNC that were accepted.
 pub const ACCEPTED: At = (0x2030, 1);
 /// Who may write: a number of [`Authority`](trueup_canopen::dictionary::Authority).
-pub const AUTHORITY: At = (0x2001, 8);
+pub(crate) const AUTHORITY: At = (0x2001, 8);
 /// The reference in force, in nm: the elongation, X, Y, Z. Written, they wait for [`KEY`].
-pub const REFERENCE: [At; 4] = [(0x2010, 1), (0x2010, 2), (0x2010, 3), (0x2010, 4)];
+pub(crate) const REFERENCE: [At; 4] = [(0x2010, 1), (0x2010, 2), (0x2010, 3), (0x2010, 4)];
 /// Forgets the reference, or offers the operator the one that was written.
 pub const KEY: At = (0x2010, 6);
 /// Whether a reference is in force.
-pub const HAS_REFERENCE: At = (0x2010, 5);
+pub(crate) const HAS_REFERENCE: At = (0x2010, 5);
 /// The reference that is offered to the operator, in nm: the elongation, X, Y, Z; [`NOT_AVAILABLE`] where none is.
-pub const OFFERED_REFERENCE: [At; 4] = [(0x2010, 7), (0x2010, 8), (0x2010, 9), (0x2010, 10)];
+pub(crate) const OFFERED_REFERENCE: [At; 4] = [(0x2010, 7), (0x2010, 8), (0x2010, 9), (0x2010, 10)];
 /// When the reference was taken, in force or offered: seconds since 1970 (UTC); 0: it is not known.
-pub const REFERENCE_UTC: At = (0x2010, 11);
+pub(crate) const REFERENCE_UTC: At = (0x2010, 11);
 /// By which kind of write and over which line: the lower byte and the one above it.
-pub const REFERENCE_ORIGIN: At = (0x2010, 12);
+pub(crate) const REFERENCE_ORIGIN: At = (0x2010, 12);
 /// How long ago, in s; the largest number: it is not known.
-pub const REFERENCE_AGE: At = (0x2010, 13);
+pub(crate) const REFERENCE_AGE: At = (0x2010, 13);
 /// The learned values as they are applied: shares of growth, X, Y, Z in 10⁻⁵, the zero of the growth in nm.
 pub const LEARNED: [At; PARTS] = [(0x2011, 1), (0x2011, 2), (0x2011, 3), (0x2011, 4), (0x2011, 5)];
 /// The tool, the conditions, and whose they are: 0 not known or no term needs them, 1 the CNC's, 2 lost.
@@ -86,7 +86,7 @@ pub const RUNNING_CRC: At = (0x2100, 3);
 pub const NEW_CRC: At = (0x2100, 4);
 
 /// Drops the calibration for the next start.
-pub const DROP_NEW: At = (0x2100, 5);
+pub(crate) const DROP_NEW: At = (0x2100, 5);
 /// Name of the machine that the running calibration is for.
 pub const MACHINE_NAME: At = (0x2101, 1);
 /// Serial number of that machine.
@@ -94,27 +94,27 @@ pub const MACHINE_SERIAL: At = (0x2101, 2);
 /// The last writes to the board.
 pub const WRITES: At = (0x2110, 1);
 /// Seconds since 1970 (UTC).
-pub const UTC: At = (0x2110, 2);
+pub(crate) const UTC: At = (0x2110, 2);
 /// The header of a new firmware. Written, the other slot is erased.
-pub const FIRMWARE_HEADER: At = (0x2120, 1);
+pub(crate) const FIRMWARE_HEADER: At = (0x2120, 1);
 /// The bytes of a new firmware from [`FIRMWARE_RECEIVED`] on.
-pub const FIRMWARE_IMAGE: At = (0x2120, 2);
+pub(crate) const FIRMWARE_IMAGE: At = (0x2120, 2);
 /// Bytes of the new firmware that have come, its header included; 0: none is under way.
-pub const FIRMWARE_RECEIVED: At = (0x2120, 3);
+pub(crate) const FIRMWARE_RECEIVED: At = (0x2120, 3);
 /// Tag of the firmware under way.
-pub const FIRMWARE_TAG: At = (0x2120, 4);
+pub(crate) const FIRMWARE_TAG: At = (0x2120, 4);
 /// Why the last one was refused: a number of [`Refusal`](trueup_boot::refusal::Refusal), 0: it was not.
-pub const FIRMWARE_REFUSED: At = (0x2120, 5);
+pub(crate) const FIRMWARE_REFUSED: At = (0x2120, 5);
 /// The firmware slot that runs: 0 A, 1 B.
-pub const RUNNING_SLOT: At = (0x2121, 1);
+pub(crate) const RUNNING_SLOT: At = (0x2121, 1);
 /// The versions in slot A and B; 0: none.
-pub const SLOT_VERSION: [At; 2] = [(0x2121, 2), (0x2121, 3)];
+pub(crate) const SLOT_VERSION: [At; 2] = [(0x2121, 2), (0x2121, 3)];
 /// The status of slot A and B in the lower byte, and starts on trial in the upper one.
-pub const SLOT_STATUS: [At; 2] = [(0x2121, 4), (0x2121, 5)];
+pub(crate) const SLOT_STATUS: [At; 2] = [(0x2121, 4), (0x2121, 5)];
 /// The oldest firmware version that may start.
-pub const FIRMWARE_FLOOR: At = (0x2121, 6);
+pub(crate) const FIRMWARE_FLOOR: At = (0x2121, 6);
 /// Why the boot program chose the slot that runs: a [`Choice`](trueup_boot::handover::Choice); 0: it does not say.
-pub const SLOT_CHOICE: At = (0x2121, 7);
+pub(crate) const SLOT_CHOICE: At = (0x2121, 7);
 
 /// No answer has come, and for how long it was waited for.
 #[derive(Debug, thiserror::Error)]
@@ -259,7 +259,7 @@ pub fn write(
 ///
 /// # Errors
 /// As [`write()`]; that of `progress`.
-pub fn write_in_blocks(
+pub(crate) fn write_in_blocks(
     session: &mut Session,
     at: At,
     data: &[u8],

@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// The speed of the bridge's serial line.
-pub const BAUD: u32 = 921_600;
+pub(crate) const BAUD: u32 = 921_600;
 /// How long a bridge may take to be connected, or to take in a few bytes.
 const PATIENCE: Duration = Duration::from_secs(3);
 /// Where a bridge is.

@@ -1,5 +1,5 @@
 //! The monitor's recording: every frame as `candump -l` writes it, and next to it a run
-//! file with a row every [`ROW_MS`].
+//! file with a row every `ROW_MS`.
 //!
 //! The log is text, a frame a line, `(seconds.microseconds) interface identifier#data`, which
 //! can-utils (`canplayer`, `log2asc`) and python-can read. The time is this machine's.
@@ -47,7 +47,7 @@ use crate::{
 };
 
 /// Milliseconds of the bridge from one row to the next.
-pub const ROW_MS: u64 = 100;
+pub(crate) const ROW_MS: u64 = 100;
 
 /// Writes both files of a recording.
 pub struct Recorder {

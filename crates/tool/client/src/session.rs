@@ -98,7 +98,7 @@ impl Session {
     ///
     /// # Errors
     /// Those of [`Self::open`], if they last for 10 s.
-    pub fn reopen(&mut self) -> Result<()> {
+    pub(crate) fn reopen(&mut self) -> Result<()> {
         let deadline = Instant::now() + RESTART_TIMEOUT;
         loop {
             match self.open_channel(RETRY_TIMEOUT) {
@@ -168,7 +168,7 @@ impl Session {
 
     /// Sends `Control` with `Service` from now on, as long as events are waited for: for a bridge
     /// that receives no CNC.
-    pub fn allow_service(&mut self) {
+    pub(crate) fn allow_service(&mut self) {
         self.transmit(Control { service: true, ..Control::default() });
     }
 
@@ -179,12 +179,12 @@ impl Session {
 
     /// Returns whether it does.
     #[must_use]
-    pub const fn says_service(&self) -> bool {
+    pub(crate) const fn says_service(&self) -> bool {
         self.service.is_some()
     }
 
     /// Ends that.
-    pub fn end_service(&mut self) {
+    pub(crate) fn end_service(&mut self) {
         self.service = None;
     }
 

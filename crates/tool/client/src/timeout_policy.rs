@@ -26,7 +26,7 @@ const SILENCE: Duration = Duration::from_secs(5);
 const STALL: Duration = Duration::from_secs(12);
 
 /// The patience of one question.
-pub struct TimeoutPolicy {
+pub(crate) struct TimeoutPolicy {
     looked: Instant,
     listened: Duration,
     /// How much of it since the last heartbeat.
@@ -44,7 +44,7 @@ impl TimeoutPolicy {
     }
 
     /// As [`Self::from`], of a bridge that may erase a firmware slot first.
-    pub fn over_an_erase(now: Instant) -> Self {
+    pub(crate) fn over_an_erase(now: Instant) -> Self {
         Self { silence: STALL, ..Self::from(now) }
     }
 
@@ -63,7 +63,7 @@ impl TimeoutPolicy {
     }
 
     /// Returns how long has been listened.
-    pub fn listened(&self) -> Duration {
+    pub(crate) fn listened(&self) -> Duration {
         self.listened
     }
 }

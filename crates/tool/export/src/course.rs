@@ -67,7 +67,7 @@ impl Drive<'_> {
     }
 
     /// Returns whether it has a table for each direction.
-    pub fn is_two_way(&self) -> bool {
+    pub(crate) fn is_two_way(&self) -> bool {
         let of_terms = self.terms.iter().any(|(_, term)| is_two_way(&term.effect));
         of_terms || self.pitch.is_some_and(|pitch| pitch.reverse_um.is_some())
     }
@@ -86,12 +86,12 @@ impl Drive<'_> {
     }
 
     /// Returns whether it depends on the position.
-    pub fn has_table(&self) -> bool {
+    pub(crate) fn has_table(&self) -> bool {
         !self.points_mm().is_empty()
     }
 
     /// Returns whether the error is the same at every position and in both directions.
-    pub fn is_flat(&self) -> bool {
+    pub(crate) fn is_flat(&self) -> bool {
         let first = self.error_um(0.0, Approach::Positive);
         self.points_mm()
             .iter()
@@ -100,7 +100,7 @@ impl Drive<'_> {
     }
 
     /// Its one table, where all of it is linear between that table's points.
-    pub fn only_table(&self) -> Option<&Pitch> {
+    pub(crate) fn only_table(&self) -> Option<&Pitch> {
         let of_terms = self.terms.iter().filter_map(|(_, term)| term.effect.table());
         let mut tables = self.pitch.into_iter().chain(of_terms);
         let only = tables.next().filter(|_| self.travel_mm.is_none())?;
@@ -108,7 +108,7 @@ impl Drive<'_> {
     }
 
     /// Returns whether it bends between its points, so that they are a choice.
-    pub fn is_curved(&self) -> bool {
+    pub(crate) fn is_curved(&self) -> bool {
         self.terms.iter().any(|(_, term)| term.effect.is_wave())
     }
 
@@ -119,7 +119,7 @@ impl Drive<'_> {
 
     /// Returns the points between which it is linear, or nearly where it is curved, in mm, rising; none
     /// where it does not depend on the position.
-    pub fn points_mm(&self) -> Vec<f64> {
+    pub(crate) fn points_mm(&self) -> Vec<f64> {
         let mut points = self.pitch.map_or_else(Vec::new, table_mm);
         if let Some((first, last)) = self.travel_mm {
             points.extend([first, last]);
@@ -299,7 +299,7 @@ impl<'m> Cross<'m> {
     }
 
     /// Where the curve may turn.
-    pub fn kinks_mm(&self) -> Vec<f64> {
+    pub(crate) fn kinks_mm(&self) -> Vec<f64> {
         let mut knots: Vec<f64> =
             self.splines.iter().flat_map(|(_, spline)| spline.knots_mm.iter().copied()).collect();
         knots.sort_by(f64::total_cmp);
@@ -308,7 +308,7 @@ impl<'m> Cross<'m> {
     }
 
     /// Returns whether it bends between its ends.
-    pub fn is_curved(&self) -> bool {
+    pub(crate) fn is_curved(&self) -> bool {
         !self.splines.is_empty()
     }
 

@@ -64,9 +64,9 @@ pub enum Series {
 }
 
 /// This many point numbers has an axis.
-pub const MAX_POINTS: usize = 128;
+pub(crate) const MAX_POINTS: usize = 128;
 /// A value is at most this, times the magnification.
-pub const MAX_STEP: i64 = 7;
+pub(crate) const MAX_STEP: i64 = 7;
 /// The magnifications there are.
 const MAGNIFICATIONS: [u8; 4] = [1, 2, 4, 8];
 /// Spacings are whole multiples of this, in mm (increment system IS-B).

@@ -112,11 +112,11 @@ impl Grid {
         self.start_mm + self.step_mm * index as f64
     }
 
-    pub fn last_mm(&self) -> f64 {
+    pub(crate) fn last_mm(&self) -> f64 {
         self.at_mm(self.points.saturating_sub(1))
     }
 
-    pub fn positions_mm(&self) -> Vec<f64> {
+    pub(crate) fn positions_mm(&self) -> Vec<f64> {
         (0..self.points).map(|index| self.at_mm(index)).collect()
     }
 

@@ -30,7 +30,7 @@ use crate::{
 };
 
 /// The most entries of a table.
-pub const MAX_ENTRIES: usize = 256;
+pub(crate) const MAX_ENTRIES: usize = 256;
 /// Values to 0.1 µm.
 const VALUE_DECIMALS: usize = 4;
 /// Positions to 0.1 µm.

@@ -41,9 +41,9 @@ use crate::{
 };
 
 /// The most points of an encoder table.
-pub const MAX_EEC_POINTS: usize = 5000;
+pub(crate) const MAX_EEC_POINTS: usize = 5000;
 /// The most points of a cross-axis table.
-pub const MAX_CEC_POINTS: usize = 2000;
+pub(crate) const MAX_CEC_POINTS: usize = 2000;
 /// Steps are whole multiples of this, in mm.
 const STEP_MM: f64 = 1e-4;
 

@@ -21,7 +21,7 @@ use trueup_numerics::t_probability;
 use crate::pool::Estimate;
 
 /// How often a healthy machine is called odd.
-pub const LEVEL: f64 = 0.01;
+pub(crate) const LEVEL: f64 = 0.01;
 /// The same at most for one constant.
 const LEVEL_OF_CONSTANT: f64 = 0.005;
 /// A step is certain at this level for the series.
@@ -123,7 +123,7 @@ pub(crate) fn spread_squared(machines: &[Estimate]) -> f64 {
 
 /// Returns probabilities corrected for their number (Holm): how often the smallest of as many healthy ones is as small.
 #[must_use]
-pub fn holm(p: &[f64]) -> Vec<f64> {
+pub(crate) fn holm(p: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..p.len()).collect();
     order.sort_by(|a, b| p[*a].total_cmp(&p[*b]));
     let mut adjusted = vec![1.0; p.len()];

@@ -71,7 +71,7 @@ const NOT_SEPARATED: f64 = 6.0;
 
 /// Returns whether a parameter is known by ratios.
 #[must_use]
-pub fn is_by_ratios(parameter: &str) -> bool {
+pub(crate) fn is_by_ratios(parameter: &str) -> bool {
     BY_RATIOS.contains(&parameter)
 }
 

@@ -72,7 +72,7 @@ fn chi_squared_95(freedom: f64) -> f64 {
 /// Returns one value for all days: the newest where the constant changes, else the mean, with an error that covers
 /// their scatter.
 #[must_use]
-pub fn present(days: &[(Option<Day>, Estimate)], drift: Option<Drift>) -> Option<Estimate> {
+pub(crate) fn present(days: &[(Option<Day>, Estimate)], drift: Option<Drift>) -> Option<Estimate> {
     let newest = days.iter().max_by_key(|(day, _)| *day).map(|(_, it)| *it)?;
     if drift.is_some_and(|it| it.is_certain) {
         return Some(newest);

@@ -19,13 +19,13 @@ use serde::Serialize;
 
 /// Fewer machines than this are left as they are (James and Stein 1961: towards an estimated mean no rule of this kind
 /// is never worse below four).
-pub const MIN_MACHINES: usize = 4;
+pub(crate) const MIN_MACHINES: usize = 4;
 
 /// This many machines beyond three have the full weight of the mean.
 const FULL_STRENGTH: f64 = 4.0;
 
 /// Half of an interval of 95 % in standard errors.
-pub const Z95: f64 = 1.96;
+pub(crate) const Z95: f64 = 1.96;
 
 /// Points of the grid in a decade of τ.
 const POINTS: f64 = 40.0;

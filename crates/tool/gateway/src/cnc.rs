@@ -36,7 +36,7 @@ impl Course {
 
 /// Transmitter of the frames to the bridge.
 #[derive(Debug, Default)]
-pub struct CncTransmitter {
+pub(crate) struct CncTransmitter {
     control: Course,
     positions: [Course; 3],
     rotary: Course,
@@ -48,7 +48,7 @@ pub struct CncTransmitter {
 
 impl CncTransmitter {
     /// Takes what the PLC has just said; nothing is repeated by itself.
-    pub fn transmit(&mut self, now: Duration, said: &Cnc) {
+    pub(crate) fn transmit(&mut self, now: Duration, said: &Cnc) {
         let has_changed = self.last.replace(said.control) != Some(said.control);
         if let Some(counter) = self.control.due(now, CONTROL_PERIOD_MS, has_changed) {
             self.due.push(frames::control(said.control, counter));

@@ -4,12 +4,12 @@
 //! |---|---|
 //! | a valid pair of offset frames | what they say, the counter one further |
 //! | no new pair | stands, counter and all |
-//! | none for [`STALE`] | "not available", quality 6; the counter goes on, since the gateway lives |
+//! | none for `STALE` | "not available", quality 6; the counter goes on, since the gateway lives |
 //!
 //! | the PLC | the bridge |
 //! |---|---|
 //! | a block in step | its frames |
-//! | the first block after [`MASTER_LASTS`] of silence, and those on its heels | nothing: it may be of a stalled line |
+//! | the first block after `MASTER_LASTS` of silence, and those on its heels | nothing: it may be of a stalled line |
 //! | `Engage` while the bridge runs on another calibration than the pinned one | `Engage` and `Zero` 0 |
 //!
 //! A block is made whole and replaced whole, so a reader gets one moment's.
@@ -37,23 +37,23 @@ use crate::cnc::CncTransmitter;
 
 /// Without a valid pair for so long the bridge counts as silent: as in `trueup linuxcnc`, a hundred
 /// cycles, and less than the 256 ms after which a counter of CAN comes round.
-pub const STALE: Duration = Duration::from_millis(100);
+pub(crate) const STALE: Duration = Duration::from_millis(100);
 /// Each item of `Status` comes every 1.1 s; three missed, and it counts as unknown.
 const STATUS_LASTS: Duration = Duration::from_millis(3_400);
 /// With slopes each item comes every 1.5 s; three missed.
 const SLOPES_LAST: Duration = Duration::from_millis(4_600);
 /// A master that has sent no valid block for so long no longer keeps others out: the link timeout
 /// after which the bridge counts its CNC as lost, by default.
-pub const MASTER_LASTS: Duration = Duration::from_millis(500);
+pub(crate) const MASTER_LASTS: Duration = Duration::from_millis(500);
 /// How long a second master is reported of.
 const TOLD: Duration = Duration::from_secs(2);
 
 /// Blocks that come so soon after one that may be old have waited with it: a line that goes on delivers them at once.
 const ON_ITS_HEELS: Duration = Duration::from_millis(30);
 /// `LastRefused` of a block that may be old: it came after a silence.
-pub const MAY_BE_OLD: u16 = 5;
+pub(crate) const MAY_BE_OLD: u16 = 5;
 /// `LastRefused` of `Engage` to a bridge that runs on another calibration than the pinned one.
-pub const OTHER_CALIBRATION: u16 = 6;
+pub(crate) const OTHER_CALIBRATION: u16 = 6;
 /// Without a valid pair for so long the bridge may have been exchanged: as long as a bridge holds by default.
 const GONE: Duration = Duration::from_secs(2);
 
@@ -191,7 +191,7 @@ impl Hub {
 
     /// Returns how often the line has stalled.
     #[must_use]
-    pub fn stalls(&self) -> u32 {
+    pub(crate) fn stalls(&self) -> u32 {
         self.stalls
     }
 
@@ -268,13 +268,13 @@ impl Hub {
     }
 
     /// Reports from now on if the bridge sends no slopes.
-    pub fn expect_slopes(&mut self, now: Duration) {
+    pub(crate) fn expect_slopes(&mut self, now: Duration) {
         self.expects_slopes = Some((now, false));
     }
 
     /// Returns the input block with slopes.
     #[must_use]
-    pub fn input_with_slopes(&self) -> [u16; slopes::LEN] {
+    pub(crate) fn input_with_slopes(&self) -> [u16; slopes::LEN] {
         self.with_slopes
     }
 
@@ -321,7 +321,7 @@ impl Hub {
         self.holding
     }
 
-    /// Returns what the PLC last said, while that is not older than [`MASTER_LASTS`].
+    /// Returns what the PLC last said, while that is not older than `MASTER_LASTS`.
     #[must_use]
     pub fn control(&self, now: Duration) -> Option<Control> {
         let (at, control) = self.control?;

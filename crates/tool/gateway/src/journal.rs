@@ -17,7 +17,7 @@ use crate::health::NEWS;
 /// From one line to the next where nothing changes.
 pub const PERIOD: Duration = Duration::from_secs(300);
 /// The same for a person who watches; then no line is withheld.
-pub const WATCHED: Duration = Duration::from_secs(1);
+pub(crate) const WATCHED: Duration = Duration::from_secs(1);
 /// The largest allowance, in bytes: two hundred changes at once.
 const BURST: f64 = 250_000.0;
 /// Rate at which the allowance grows: with the largest allowance 0.98 MB in 24 hours.

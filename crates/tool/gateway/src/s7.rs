@@ -22,7 +22,7 @@ use crate::{bridge::Shared, health::End, hub::MASTER_LASTS, pause::Pause};
 use client::{Client, Error, Place};
 
 /// Where the holding block begins in the data block, in bytes.
-pub const HOLDING_AT: usize = 64;
+pub(crate) const HOLDING_AT: usize = 64;
 /// Bytes of the holding block, and of one in a data block that ends without tool and conditions.
 const HOLDING_BYTES: usize = 2 * WHOLE_HOLDING_LEN;
 const SHORT_HOLDING_BYTES: usize = 2 * HOLDING_LEN;

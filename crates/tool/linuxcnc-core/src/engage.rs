@@ -15,7 +15,7 @@ const AGAIN: Duration = Duration::from_secs(1);
 
 /// Whether `Engage` is raised.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Engage {
+pub(crate) struct Engage {
     /// Since when it is, or is not; `None`: the component has just begun.
     since: Option<Duration>,
     is_raised: bool,

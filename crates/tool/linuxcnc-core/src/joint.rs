@@ -104,7 +104,7 @@ pub struct Applied {
 
 impl Applied {
     /// Nothing acts, and nothing is to.
-    pub const NOTHING: Self =
+    pub(crate) const NOTHING: Self =
         Self { nm: [0.0; 3], at_zero: true, arrived: true, limited: false, not_taken: false };
 }
 
@@ -127,7 +127,7 @@ struct State {
 
 /// The offsets of all joints.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct JointOffsets {
+pub(crate) struct JointOffsets {
     states: [State; MAX_JOINTS],
 }
 

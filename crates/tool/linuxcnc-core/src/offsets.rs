@@ -17,14 +17,14 @@ use trueup_link::{
 };
 
 /// A pair's counter comes round after 256 ms, so nothing older may count as fresh.
-pub const LONGEST_STALE: Duration = Duration::from_millis(250);
+pub(crate) const LONGEST_STALE: Duration = Duration::from_millis(250);
 
 /// How long silence is tolerated, and how large an offset may be.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// The largest offset on X, Y and Z, in nanometres, either way.
     pub max_nm: [i32; 3],
-    /// Without a valid pair for so long the bridge counts as silent; at most [`LONGEST_STALE`].
+    /// Without a valid pair for so long the bridge counts as silent; at most `LONGEST_STALE`.
     pub stale: Duration,
     /// How long the last offset is then held.
     pub hold: Duration,
@@ -43,7 +43,7 @@ pub enum Target {
 
 /// The bridge's offsets, as they are received: the newest valid pair and its age.
 #[derive(Debug)]
-pub struct ReceivedOffsets {
+pub(crate) struct ReceivedOffsets {
     receiver: OffsetReceiver,
     malformed_lines: u32,
     last: Option<(Duration, Output)>,
@@ -69,13 +69,13 @@ impl ReceivedOffsets {
     }
 
     /// Takes note of a line that was not a frame.
-    pub fn receive_malformed(&mut self) {
+    pub(crate) fn receive_malformed(&mut self) {
         self.malformed_lines = self.malformed_lines.saturating_add(1);
     }
 
     /// Returns the newest valid pair, unless it is stale.
     #[must_use]
-    pub fn fresh(&self, now: Duration, limits: &Limits) -> Option<&Output> {
+    pub(crate) fn fresh(&self, now: Duration, limits: &Limits) -> Option<&Output> {
         let (heard, output) = self.last.as_ref()?;
         (now.saturating_sub(*heard) <= limits.stale.min(LONGEST_STALE)).then_some(output)
     }
@@ -104,7 +104,7 @@ impl ReceivedOffsets {
 
     /// The newest valid pair said more than is permitted here.
     #[must_use]
-    pub fn is_clamped(&self) -> bool {
+    pub(crate) fn is_clamped(&self) -> bool {
         self.clamped
     }
 

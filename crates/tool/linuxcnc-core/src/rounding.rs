@@ -5,7 +5,7 @@ const WHOLE: f64 = 4_503_599_627_370_496.0;
 
 /// Rounds towards zero.
 #[allow(clippy::cast_possible_truncation, reason = "below 2⁵²")]
-pub fn trunc(value: f64) -> f64 {
+pub(crate) fn trunc(value: f64) -> f64 {
     if value.abs() < WHOLE { (value as i64) as f64 } else { value }
 }
 

@@ -155,7 +155,7 @@ impl Hal {
 
     /// Returns whether the pins are those of a component whose process was killed.
     #[must_use]
-    pub fn adopts(&self) -> bool {
+    pub(crate) fn adopts(&self) -> bool {
         self.adopts
     }
 
@@ -198,7 +198,7 @@ impl Hal {
 
     /// Returns whether anybody's pin is connected to a signal; `None` if there is none of this name.
     #[must_use]
-    pub fn is_connected(&self, name: &str) -> Option<bool> {
+    pub(crate) fn is_connected(&self, name: &str) -> Option<bool> {
         self.look_up(&text(name).ok()?).map(|found| found.is_connected)
     }
 

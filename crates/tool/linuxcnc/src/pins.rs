@@ -97,7 +97,7 @@ impl Wire {
 }
 
 /// All pins of the component. Lengths at the pins are in the units of the .ini, temperatures in °C.
-pub struct Pins<'hal> {
+pub(crate) struct Pins<'hal> {
     mm_per_unit: f64,
     enable: Pin<'hal, bool>,
     machine_on: Pin<'hal, bool>,
@@ -133,7 +133,7 @@ pub struct Pins<'hal> {
 
 /// Returns the pin that tells which process the component called `name` is.
 #[must_use]
-pub fn pid_pin(name: &str) -> String {
+pub(crate) fn pid_pin(name: &str) -> String {
     format!("{name}.0.pid")
 }
 
@@ -233,7 +233,7 @@ impl<'hal> Pins<'hal> {
     /// Returns a pin that was connected and is no longer. One that never was belongs to an axis that the machine does
     /// not have.
     #[must_use]
-    pub fn cut_wire(&self) -> Option<&str> {
+    pub(crate) fn cut_wire(&self) -> Option<&str> {
         let is_cut = |wire: &&Wire| {
             let is_connected = self.hal.is_connected(&wire.name) == Some(true);
             wire.was_connected.set(wire.was_connected.get() || is_connected);

@@ -99,9 +99,9 @@ impl Default for Options {
 }
 
 /// The feed of an approach, in mm/min: the operator has a second for each 8 mm.
-pub const APPROACH_MM_PER_MIN: f64 = 500.0;
+pub(crate) const APPROACH_MM_PER_MIN: f64 = 500.0;
 /// The distance to the ends of travel, in mm: wider than a limit switch repeats.
-pub const MARGIN_MM: f64 = 2.0;
+pub(crate) const MARGIN_MM: f64 = 2.0;
 /// No number of a measurement is larger; beyond it a control would not read it.
 const MAX_NUMBER: f64 = 1e6;
 
@@ -111,7 +111,7 @@ const FEED_MM_PER_MIN: f64 = 1000.0;
 impl Options {
     /// Returns the feeds to measure at, at least one.
     #[must_use]
-    pub fn feeds(&self) -> Vec<f64> {
+    pub(crate) fn feeds(&self) -> Vec<f64> {
         if self.feeds_mm_per_min.is_empty() {
             vec![FEED_MM_PER_MIN]
         } else {

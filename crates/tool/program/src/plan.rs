@@ -189,13 +189,13 @@ impl Plan {
 
     /// Returns the highest speed of the spindle in r/min; 0 if it never turns.
     #[must_use]
-    pub fn highest_rpm(&self) -> f64 {
+    pub(crate) fn highest_rpm(&self) -> f64 {
         self.walk().highest_rpm
     }
 
     /// Returns the highest feed of a move in mm/min.
     #[must_use]
-    pub fn highest_feed_mm_per_min(&self) -> f64 {
+    pub(crate) fn highest_feed_mm_per_min(&self) -> f64 {
         self.walk().highest_feed_mm_per_min
     }
 

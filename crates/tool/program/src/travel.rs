@@ -47,28 +47,28 @@ impl Travel {
     }
 
     /// Returns how far the axis goes beyond a target before it approaches it, in mm.
-    pub fn over_travel_mm(&self) -> f64 {
+    pub(crate) fn over_travel_mm(&self) -> f64 {
         micrometres(OVER_TRAVEL_MM.min(OVER_TRAVEL_SHARE * self.length_mm()))
     }
 
     /// Returns the ends between which targets may be, in mm.
-    pub fn inside_mm(&self) -> [f64; 2] {
+    pub(crate) fn inside_mm(&self) -> [f64; 2] {
         let over_mm = self.over_travel_mm();
         [micrometres(self.low_mm + over_mm), micrometres(self.high_mm - over_mm)]
     }
 
     /// Returns true if the axis begins at its upper end.
-    pub fn starts_high(&self) -> bool {
+    pub(crate) fn starts_high(&self) -> bool {
         self.retract == Some(1.0)
     }
 
     /// Returns the ends in the order in which the axis goes to them: the retracted one first.
-    pub fn start_and_far_mm(&self) -> [f64; 2] {
+    pub(crate) fn start_and_far_mm(&self) -> [f64; 2] {
         self.ordered([self.low_mm, self.high_mm])
     }
 
     /// Returns rising places in the order in which the axis goes to them.
-    pub fn ordered<T: AsMut<[f64]>>(&self, mut rising_mm: T) -> T {
+    pub(crate) fn ordered<T: AsMut<[f64]>>(&self, mut rising_mm: T) -> T {
         if self.starts_high() {
             rising_mm.as_mut().reverse();
         }
@@ -81,7 +81,7 @@ impl Travel {
     }
 
     /// Returns targets about `step_mm` apart over the inside, both ends included, rising.
-    pub fn even_targets_mm(&self, step_mm: f64) -> Result<Vec<f64>, Refused> {
+    pub(crate) fn even_targets_mm(&self, step_mm: f64) -> Result<Vec<f64>, Refused> {
         let [low, high] = self.inside_mm();
         even(low, high, step_mm).ok_or_else(|| {
             Refused(format!(

@@ -42,7 +42,7 @@ pub struct Share {
 }
 
 /// The received values at a moment.
-pub struct Moment<'a> {
+pub(crate) struct Moment<'a> {
     /// Since the screen began, in s.
     pub time_s: f64,
     /// By the sensor, in µm.
@@ -74,7 +74,7 @@ impl Laws {
 
     /// Those of the calibration that a board has given; `None`: it is none.
     #[must_use]
-    pub fn of_board(blob: &[u8]) -> Option<Self> {
+    pub(crate) fn of_board(blob: &[u8]) -> Option<Self> {
         let machine = inverse(&decode(blob).ok()?);
         Some(Self { crc: Some(identity(blob)), has_counts: false, ..Self::of(machine) })
     }
@@ -133,7 +133,7 @@ impl Laws {
     }
 
     /// Returns the share of each cause that the machine has.
-    pub fn shares(&mut self, moment: &Moment<'_>) -> Vec<Share> {
+    pub(crate) fn shares(&mut self, moment: &Moment<'_>) -> Vec<Share> {
         let channels = self.machine.inputs.iter().flat_map(|inputs| &inputs.temperatures);
         let temperatures_c: Vec<(String, f64)> = channels
             .map(|(name, input)| {

@@ -27,7 +27,7 @@ const OLD_S: f64 = 4.0;
 /// A reading of the sensor that was asked for counts for so long; then the one of the status does.
 const ASKED_S: f64 = 1.0;
 /// A gauge's reading older than this is not of the moment at which a key is pressed.
-pub const FRESH_S: f64 = 1.0;
+pub(crate) const FRESH_S: f64 = 1.0;
 /// A message stands for so long.
 const MESSAGE_S: f64 = 8.0;
 
@@ -215,7 +215,7 @@ impl State {
     }
 
     /// Takes the gauge's newest reading, or what is wrong with it. A reading that is waited for is written down.
-    pub fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
+    pub(crate) fn gauged(&mut self, heard: Result<f64, String>, now_s: f64) -> Option<Action> {
         self.now_s = now_s;
         match heard {
             Ok(um) => {
@@ -231,7 +231,7 @@ impl State {
     }
 
     /// Takes a sample for the trend, and the shares of this moment: a few times a second.
-    pub fn sample(&mut self, now_s: f64) {
+    pub(crate) fn sample(&mut self, now_s: f64) {
         self.now_s = now_s;
         if now_s - self.counted_s >= 1.0 {
             self.frames_per_s = f64::from(self.frames) / (now_s - self.counted_s);
@@ -331,7 +331,7 @@ impl State {
     }
 
     /// Shows the user a message.
-    pub fn show_message(&mut self, message: impl Into<String>) {
+    pub(crate) fn show_message(&mut self, message: impl Into<String>) {
         self.message = Some((message.into(), self.now_s));
     }
 
@@ -369,7 +369,7 @@ impl State {
 
     /// Returns the last growth that came, in µm, and its age in s where it is old.
     #[must_use]
-    pub fn last_growth(&self) -> Option<(f64, Option<f64>)> {
+    pub(crate) fn last_growth(&self) -> Option<(f64, Option<f64>)> {
         match self.asked {
             Some((growth_um, at_s)) if self.now_s - at_s <= ASKED_S => Some((growth_um?, None)),
             _ => Some((self.board.elongation_um()?, self.age_s(self.told_s.growth))),
@@ -378,14 +378,14 @@ impl State {
 
     /// Returns how long ago offsets came last, in s; `None`: none ever did.
     #[must_use]
-    pub fn output_age_s(&self) -> Option<f64> {
+    pub(crate) fn output_age_s(&self) -> Option<f64> {
         self.output.as_ref().map(|(_, at_s)| self.now_s - at_s)
     }
 
     /// Returns the last offsets that came, in µm, and their age in s; `None`: they are new, were not available, or none
     /// came.
     #[must_use]
-    pub fn old_offset_um(&self) -> Option<([f64; 3], f64)> {
+    pub(crate) fn old_offset_um(&self) -> Option<([f64; 3], f64)> {
         let (output, at_s) = self.output.as_ref()?;
         let age_s = self.now_s - at_s;
         Some((offset_um(output)?, age_s)).filter(|_| age_s > STALE_S)
@@ -393,13 +393,13 @@ impl State {
 
     /// Returns the age in s of a channel's temperature, where it is old.
     #[must_use]
-    pub fn temperature_age_s(&self, channel: usize) -> Option<f64> {
+    pub(crate) fn temperature_age_s(&self, channel: usize) -> Option<f64> {
         self.age_s(self.told_s.temperatures.get(channel / 2).copied().flatten())
     }
 
     /// Returns the age in s of what the board has said of its faults, where it is old.
     #[must_use]
-    pub fn state_age_s(&self) -> Option<f64> {
+    pub(crate) fn state_age_s(&self) -> Option<f64> {
         self.age_s(self.told_s.state)
     }
 
@@ -412,7 +412,7 @@ impl State {
     /// Returns what the bridge has for the quantity of the gauge, in µm: the growth, or the error of an axis that its
     /// offset corrects.
     #[must_use]
-    pub fn bridge_um(&self) -> Option<f64> {
+    pub(crate) fn bridge_um(&self) -> Option<f64> {
         let axis = match self.gauge.quantity {
             Quantity::Elongation => return self.growth_um(),
             Quantity::Dx => 0,
@@ -441,12 +441,12 @@ impl State {
     }
 
     /// The reading is drawn where it was taken.
-    pub fn mark(&mut self, um: f64) {
+    pub(crate) fn mark(&mut self, um: f64) {
         self.trend.mark(self.now_s, um);
     }
 
     /// The last of them is not drawn any more.
-    pub fn unmark(&mut self) {
+    pub(crate) fn unmark(&mut self) {
         self.trend.unmark();
     }
 
@@ -469,16 +469,9 @@ impl State {
         self.laws.as_ref().map(|laws| laws.conditions(&self.cnc, now_ms)).unwrap_or_default()
     }
 
-    /// The CNC is received on this line.
-    #[must_use]
-    pub fn receives_cnc(&self) -> bool {
-        let now_ms = (self.now_s * 1_000.0) as u64;
-        self.cnc.position_mm(now_ms).iter().any(Option::is_some)
-    }
-
     /// Returns what is wrong, with what to do about it.
     #[must_use]
-    pub fn alarms(&self) -> Vec<(&'static str, &'static str)> {
+    pub(crate) fn alarms(&self) -> Vec<(&'static str, &'static str)> {
         let mut words = self.board.words();
         words.extend(self.output().map(|output| flag_words(output.flags)).unwrap_or_default());
         let of_cnc = ["cnc-damaged", "cnc-sequence", "cnc-malformed"];

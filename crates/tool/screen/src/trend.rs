@@ -3,11 +3,11 @@
 use std::collections::VecDeque;
 
 /// So far back, in s: what a finger, a spindle's start and the first of the heat take.
-pub const WINDOW_S: f64 = 300.0;
+pub(crate) const WINDOW_S: f64 = 300.0;
 /// The number of series: the growth, three offsets, eight temperatures, and the gauge minus the bridge.
-pub const SERIES: usize = 13;
+pub(crate) const SERIES: usize = 13;
 /// The last of them.
-pub const DIFFERENCE: usize = 12;
+pub(crate) const DIFFERENCE: usize = 12;
 
 /// A ring of samples.
 #[derive(Clone, Debug, Default)]
@@ -18,7 +18,7 @@ pub struct Trend {
 }
 
 impl Trend {
-    /// Adds what is known at `time_s`; NaN: it is not. Drops what is older than [`WINDOW_S`].
+    /// Adds what is known at `time_s`; NaN: it is not. Drops what is older than `WINDOW_S`.
     pub fn push(&mut self, time_s: f64, values: [f64; SERIES]) {
         self.samples.push_back((time_s, values));
         while self.samples.front().is_some_and(|(at, _)| *at < time_s - WINDOW_S) {
@@ -30,18 +30,18 @@ impl Trend {
     }
 
     /// Adds a reading of the gauge that was written down.
-    pub fn mark(&mut self, time_s: f64, um: f64) {
+    pub(crate) fn mark(&mut self, time_s: f64, um: f64) {
         self.marks.push_back((time_s, um));
     }
 
     /// Takes the last one away.
-    pub fn unmark(&mut self) {
+    pub(crate) fn unmark(&mut self) {
         self.marks.pop_back();
     }
 
     /// Returns the readings as (seconds before the newest sample, µm).
     #[must_use]
-    pub fn marks(&self) -> Vec<(f64, f64)> {
+    pub(crate) fn marks(&self) -> Vec<(f64, f64)> {
         let newest_s = self.samples.back().map_or(0.0, |(at, _)| *at);
         self.marks.iter().map(|(at, um)| ((at - newest_s).min(0.0), *um)).collect()
     }

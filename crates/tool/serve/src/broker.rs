@@ -87,7 +87,7 @@ impl Broker {
 
     /// Returns how the connection is made.
     #[must_use]
-    pub fn transport(&self) -> Transport {
+    pub(crate) fn transport(&self) -> Transport {
         let tls = self.tls.clone();
         tls.map_or(Transport::Tcp, |it| Transport::Tls(TlsConfiguration::Rustls(it)))
     }

@@ -38,7 +38,7 @@ impl Watch {
     }
 
     /// Returns by how many ms the time of day was set since the last call, if it was; negative: back.
-    pub fn step_ms(&mut self, now: Instant, now_ms: u64) -> Option<i64> {
+    pub(crate) fn step_ms(&mut self, now: Instant, now_ms: u64) -> Option<i64> {
         let passed = now.saturating_duration_since(self.start).as_millis();
         let expected = i64::try_from(passed).ok()?.checked_add_unsigned(self.start_ms)?;
         let step = i64::try_from(now_ms).ok()? - expected;

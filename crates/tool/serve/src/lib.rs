@@ -11,7 +11,7 @@
 //! |---|---|
 //! | [`mod@bridge`] | frames in, a snapshot out; asks the bridge who it is, and writes nothing to it |
 //! | [`snapshot`] | the state at one moment, the events between two |
-//! | [`mod@metrics`] | names, units and values: one list for all that is published |
+//! | `metrics` | names, units and values: one list for all that is published |
 //! | [`sparkplug`] | payloads and topics of Sparkplug B; births, deaths and numbers |
 //! | [`spool`] | records on disk until the broker has them |
 //! | [`broker`] | where the broker is: URL, TLS, password |
@@ -30,7 +30,7 @@ pub mod bridge;
 pub mod broker;
 pub mod clock;
 pub mod identity;
-pub mod metrics;
+pub(crate) mod metrics;
 pub mod mqtt;
 pub mod mtconnect;
 pub mod record;

@@ -48,7 +48,7 @@ const TEMPERATURES: [&str; CHANNELS] = [
 
 /// Returns all metrics of a bridge.
 #[must_use]
-pub fn metrics(of: &Snapshot) -> Vec<Metric> {
+pub(crate) fn metrics(of: &Snapshot) -> Vec<Metric> {
     let text = |name, text: Option<String>| Metric { name, unit: "", value: Value::Text(text) };
     let words =
         |name, is_known: bool, words: &[&str]| text(name, is_known.then(|| words.join(" ")));

@@ -13,4 +13,4 @@
 
 pub mod adapter;
 pub mod devices;
-pub mod shdr;
+pub(crate) mod shdr;

@@ -4,7 +4,7 @@ use trueup_client::words::quality_word;
 use trueup_core::{cnc::Quality, dimensions::CHANNELS};
 
 /// Why a bridge is down whose line is open.
-pub const SILENT: &str = "no offsets come";
+pub(crate) const SILENT: &str = "no offsets come";
 
 /// Who the bridge is, as far as it has answered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -19,9 +19,9 @@ use crate::{
 };
 
 /// The group of every edge node.
-pub const GROUP: &str = "trueup";
+pub(crate) const GROUP: &str = "trueup";
 /// The metric by which a host asks for all births again.
-pub const REBIRTH: &str = "Node Control/Rebirth";
+pub(crate) const REBIRTH: &str = "Node Control/Rebirth";
 /// The unit of a metric, as hosts read it.
 const UNIT: &str = "engUnit";
 
@@ -34,20 +34,20 @@ pub fn topic(kind: &str, node: &str, device: Option<&str>) -> String {
 
 /// Returns the topic of a host application's state.
 #[must_use]
-pub fn state_topic(host: &str) -> String {
+pub(crate) fn state_topic(host: &str) -> String {
     format!("spBv1.0/STATE/{host}")
 }
 
 /// Returns the topic outside Sparkplug's name space of what is recorded, or of the retained state.
 #[must_use]
-pub fn own_topic(node: &str, device: Option<&str>, kind: &str) -> String {
+pub(crate) fn own_topic(node: &str, device: Option<&str>, kind: &str) -> String {
     let device = device.map(|it| format!("/{it}")).unwrap_or_default();
     format!("{GROUP}/{node}{device}/{kind}")
 }
 
 /// Returns the identifier of a device: the serial number of its board.
 #[must_use]
-pub fn device_id(serial: u32) -> String {
+pub(crate) fn device_id(serial: u32) -> String {
     format!("{serial:08x}")
 }
 
@@ -75,7 +75,7 @@ pub fn named(name: &str, value: &Value, time_ms: u64) -> payload::Metric {
 
 /// Returns a metric of a birth: name, alias, unit.
 #[must_use]
-pub fn born(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
+pub(crate) fn born(metric: &Metric, alias: u64, time_ms: u64) -> payload::Metric {
     let mut born = named(metric.name, &metric.value, time_ms);
     born.set_alias(alias);
     if !metric.unit.is_empty() {
@@ -137,7 +137,7 @@ pub fn object(bytes: &[u8]) -> Option<serde_json::Value> {
 
 /// Returns whether a command asks for all births again; `None`: it is no payload.
 #[must_use]
-pub fn asks_rebirth(bytes: &[u8]) -> Option<bool> {
+pub(crate) fn asks_rebirth(bytes: &[u8]) -> Option<bool> {
     let asks = |it: &payload::Metric| {
         it.name.as_deref() == Some(REBIRTH) && it.value == Some(metric::Value::BooleanValue(true))
     };

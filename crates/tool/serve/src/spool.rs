@@ -345,7 +345,7 @@ impl Spool {
     }
 
     /// Returns what was found damaged and what gave way since the last call.
-    pub fn reports(&mut self) -> Vec<Report> {
+    pub(crate) fn reports(&mut self) -> Vec<Report> {
         std::mem::take(&mut self.reports)
     }
 }

@@ -23,7 +23,7 @@ pub const BYTES: usize = 65_536;
 /// Alignment of this memory.
 pub const ALIGNMENT: usize = 16;
 /// Bytes of the two copies of what outlasts a restart.
-pub const RETAINED_BYTES: usize = 2 * SIZE;
+pub(crate) const RETAINED_BYTES: usize = 2 * SIZE;
 const _: () = assert!(RETAINED_BYTES == mem::size_of::<Copies>());
 const _: () = assert!(mem::size_of::<Servo>() <= BYTES && mem::align_of::<Servo>() <= ALIGNMENT);
 
@@ -263,7 +263,7 @@ pub unsafe extern "C" fn trueup_servo_step(
 /// machine counts as cold.
 ///
 /// # Safety
-/// `memory` is that of a bridge that was started; `copies` has [`RETAINED_BYTES`].
+/// `memory` is that of a bridge that was started; `copies` has `TRUEUP_RETAINED_BYTES`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn trueup_servo_resume(memory: *mut u8, copies: *const u8, now_s: u32) {
     // SAFETY: the caller's word; null is looked at. Copies are bytes, which need no alignment.

@@ -282,7 +282,7 @@ impl Servo {
 
     /// Returns the nanometres in a machine unit.
     #[must_use]
-    pub fn nm_per_unit(&self) -> f64 {
+    pub(crate) fn nm_per_unit(&self) -> f64 {
         self.settings.mm_per_unit * NANOMETRES_PER_MILLIMETRE
     }
 

@@ -20,7 +20,7 @@ const REACH_C: f64 = 1_000.0;
 
 /// How a channel is made of degrees.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Channel {
+pub(crate) enum Channel {
     /// No thermometer of the calibration.
     Unused,
     /// A platinum resistance.

@@ -261,7 +261,7 @@ impl Axes {
 
     /// Returns the temperature of a scale, in °C.
     #[must_use]
-    pub fn scale_c(&self, axis: AxisName) -> f64 {
+    pub(crate) fn scale_c(&self, axis: AxisName) -> f64 {
         self.states[axis.index()].scale_c
     }
 

@@ -20,7 +20,7 @@ pub enum RotaryAxis {
 }
 
 /// At most this many of them carry a spindle.
-pub const MAX_AXES: usize = 2;
+pub(crate) const MAX_AXES: usize = 2;
 
 impl RotaryAxis {
     /// Returns the column of its angle.

@@ -153,7 +153,7 @@ impl Rod {
 
     /// Returns the cell in which `position_m` from the left end lies; the nearest one outside.
     #[must_use]
-    pub fn cell_at(&self, position_m: f64) -> usize {
+    pub(crate) fn cell_at(&self, position_m: f64) -> usize {
         // A cast from f64 saturates.
         ((position_m / self.cell_m()) as usize).min(self.temperatures_c.len() - 1)
     }

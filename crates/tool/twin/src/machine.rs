@@ -170,7 +170,7 @@ impl Machine {
 
     /// Returns whether there is a spindle.
     #[must_use]
-    pub fn has_spindle(&self) -> bool {
+    pub(crate) fn has_spindle(&self) -> bool {
         self.spindle.is_some()
     }
 

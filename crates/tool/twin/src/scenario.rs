@@ -28,7 +28,7 @@ pub use crate::broken::BadScenario;
 /// The most rows, and the most ways there and back, that a scenario may ask for.
 pub const MAX_ROWS: f64 = 5e6;
 /// The shortest step of the simulation that a scenario may ask for, in s.
-pub const SHORTEST_STEP_S: f64 = 1e-3;
+pub(crate) const SHORTEST_STEP_S: f64 = 1e-3;
 
 /// A measured quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, JsonSchema)]

@@ -91,7 +91,7 @@ impl DisplacementConfig {
 
 /// A displacement sensor on its way through a run.
 #[derive(Clone, Debug)]
-pub struct Displacement {
+pub(crate) struct Displacement {
     config: DisplacementConfig,
     /// Times and growths that have not come out of the delay yet, the oldest first.
     waiting: VecDeque<(f64, f64)>,
@@ -214,7 +214,7 @@ pub enum Spot {
 impl Spot {
     /// Returns whether it is on the spindle.
     #[must_use]
-    pub fn is_on_spindle(self) -> bool {
+    pub(crate) fn is_on_spindle(self) -> bool {
         matches!(
             self,
             Self::Front
@@ -281,7 +281,7 @@ impl Thermometer {
 
     /// Where it is.
     #[must_use]
-    pub fn spot(&self) -> Spot {
+    pub(crate) fn spot(&self) -> Spot {
         self.config.at
     }
 

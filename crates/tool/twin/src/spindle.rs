@@ -231,7 +231,7 @@ impl Growth {
 
     /// Returns what the tool tip does: the elongation.
     #[must_use]
-    pub fn at_tip_um(&self) -> f64 {
+    pub(crate) fn at_tip_um(&self) -> f64 {
         self.at_sensor_um() + self.housing_um + self.holder_um + self.tool_um + self.elastic_um
     }
 }
@@ -354,7 +354,7 @@ impl Spindle {
     }
 
     /// Takes another tool out of the magazine, in air of `ambient_c`: it warms behind the nose from now on.
-    pub fn take_cold_tool(&mut self, ambient_c: f64) {
+    pub(crate) fn take_cold_tool(&mut self, ambient_c: f64) {
         self.holder_c = ambient_c;
     }
 

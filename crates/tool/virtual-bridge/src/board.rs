@@ -37,7 +37,7 @@ pub const LARGEST_BATCH: u32 = u8::MAX as u32;
 /// Bytes that may wait for the board's serial line. On a computer that is busy the emulator takes in
 /// less than a CNC says, and what waits for seconds is no longer the position. The kernel gives about
 /// twice as much, and takes its own book-keeping from it.
-pub const MAY_WAIT: usize = 4_096;
+pub(crate) const MAY_WAIT: usize = 4_096;
 
 /// A running virtual board.
 pub struct VirtualBoard {

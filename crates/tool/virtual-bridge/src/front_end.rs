@@ -12,13 +12,13 @@ use trueup_core::units::Code;
 /// Conversions a second.
 pub const SAMPLE_HZ: f64 = 20_000.0;
 /// Both poles of the low-pass before the ADC.
-pub const POLE_HZ: f64 = 2_000.0;
+pub(crate) const POLE_HZ: f64 = 2_000.0;
 /// The ADC's full scale.
 pub const REFERENCE_VOLTS: f64 = 3.3;
 /// RMS of the noise, in codes.
 pub const NOISE_CODES_RMS: f64 = 1.0;
 /// The signal is followed in steps of 1/320 kHz, so that a carrier at 40 kHz is one.
-pub const STEPS_PER_SAMPLE: u32 = 16;
+pub(crate) const STEPS_PER_SAMPLE: u32 = 16;
 
 /// The analogue front end of one board.
 #[derive(Clone, Debug)]
@@ -76,7 +76,7 @@ impl FrontEnd {
         clippy::cast_sign_loss,
         reason = "clamped to the 12 bits of the converter"
     )]
-    pub fn convert(&mut self, volts_at: impl Fn(f64) -> f64) -> Code {
+    pub(crate) fn convert(&mut self, volts_at: impl Fn(f64) -> f64) -> Code {
         let now = self.time_s();
         let pin = match &mut self.low_pass {
             None => volts_at(now),

@@ -46,7 +46,7 @@ pub struct Hand {
 impl Hand {
     /// Returns a hand that types at standard input, next to this gauge.
     #[must_use]
-    pub fn at_standard_input(gauge: Gauge) -> Self {
+    pub(crate) fn at_standard_input(gauge: Gauge) -> Self {
         let hand = Self::default();
         let typed = hand.clone();
         thread::spawn(move || {
@@ -125,13 +125,13 @@ impl Hand {
 
     /// Returns whether the service switch of the board is closed; it begins open.
     #[must_use]
-    pub fn switch_is_closed(&self) -> bool {
+    pub(crate) fn switch_is_closed(&self) -> bool {
         self.switch_is_closed.load(Ordering::Relaxed)
     }
 
     /// Returns whether the run is to begin again, once.
     #[must_use]
-    pub fn take_again(&self) -> bool {
+    pub(crate) fn take_again(&self) -> bool {
         self.again.swap(false, Ordering::Relaxed)
     }
 }

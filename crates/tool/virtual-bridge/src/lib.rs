@@ -11,7 +11,7 @@ pub mod board;
 mod bridge;
 pub mod front_end;
 pub mod gauge;
-pub mod hand;
+pub(crate) mod hand;
 pub mod log;
 pub mod plant;
 pub mod program;

@@ -21,7 +21,7 @@ pub const PROGRAM: &str = "qemu-system-arm";
 const OLDEST: (u32, u32) = (7, 2);
 
 /// How long QEMU may take to open its sockets, and the board to say that it is up.
-pub const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
+pub(crate) const BOOT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// The longest path that the kernel takes for a socket, in bytes.
 const LONGEST_SOCKET_PATH: usize = 107;
@@ -84,7 +84,7 @@ impl Qemu {
     ///
     /// # Errors
     /// As [`Qemu::start`].
-    pub fn start_in(
+    pub(crate) fn start_in(
         folder: Folder,
         image: &Path,
         arguments: &[&str],

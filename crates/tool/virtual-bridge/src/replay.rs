@@ -22,10 +22,10 @@ use trueup_machine::{
 };
 
 /// How long a row lasts in a run without `time_s`, unless it is said otherwise.
-pub const DEFAULT_ROW_S: f64 = 1.0;
+pub(crate) const DEFAULT_ROW_S: f64 = 1.0;
 
 /// The column that a gauge at the tool shows.
-pub const GAUGED_COLUMN: &str = "measured_elongation_um";
+pub(crate) const GAUGED_COLUMN: &str = "measured_elongation_um";
 /// The columns of X, Y and Z.
 const POSITIONS: [&str; 3] = ["x_mm", "y_mm", "z_mm"];
 /// The columns of the direction of approach of X, Y and Z.
@@ -165,12 +165,6 @@ impl Replay {
         let next = self.from_s.partition_point(|&from| from <= time_s);
         let so_far = self.growths_um.get(..next.max(1))?;
         Some(so_far.iter().rev().copied().find(|um| !um.is_nan()).unwrap_or(0.0))
-    }
-
-    /// When the last row begins.
-    #[must_use]
-    pub fn last_row_s(&self) -> f64 {
-        self.from_s.last().copied().unwrap_or_default()
     }
 }
 
@@ -423,7 +417,6 @@ mod tests {
         assert_eq!(replay.at(0.5).speed, None);
         assert_eq!(replay.at(2.9).speed, Some(Rpm(300)));
         assert_eq!(replay.at(3.0).speed, Some(Rpm(24_000)));
-        assert_eq!(replay.last_row_s(), 3.0);
         assert_eq!(replay.growth_um(1.0), None, "the run does not say");
     }
 

@@ -376,7 +376,7 @@ pub fn listen(address: &str) -> Result<TcpListener> {
 ///
 /// # Errors
 /// It has another form.
-pub fn tcp_address(address: &str) -> Result<&str> {
+pub(crate) fn tcp_address(address: &str) -> Result<&str> {
     match address.strip_prefix("tcp:") {
         Some(rest) if rest.contains(':') => Ok(rest),
         _ => bail!("\"{address}\" is not an address of the form tcp:HOST:PORT"),

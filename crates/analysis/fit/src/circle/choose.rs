@@ -36,7 +36,7 @@ const ARCS: usize = 12;
 /// Differences of BIC below this are none.
 const SCORE_GAP: f64 = 6.0;
 /// The largest number of a harmonic.
-pub const MAX_HARMONIC: u8 = 7;
+pub(crate) const MAX_HARMONIC: u8 = 7;
 
 /// Terms that come and go together: one cause of one axis.
 #[derive(Clone, Debug, PartialEq)]

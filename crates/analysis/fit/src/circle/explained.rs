@@ -24,7 +24,7 @@ const SHARE_OF_NOISE: f64 = 0.5;
 const MIN_STRUCTURE_UM: f64 = 0.2;
 
 /// Explains a circle.
-pub fn explain(record: Record) -> CircleResult {
+pub(crate) fn explain(record: Record) -> CircleResult {
     let figures = Figures::of(&record);
     let mut used = without_taking_up(&record, record.play_um);
     let mut chosen = choose(&used, &search(&used));

@@ -65,7 +65,7 @@ impl Cause {
 
     /// Returns why no table corrects it; `None` where one does.
     #[must_use]
-    pub fn why_not_corrected(self) -> Option<&'static str> {
+    pub(crate) fn why_not_corrected(self) -> Option<&'static str> {
         match self {
             Self::ServoMismatch => Some(
                 "it depends on the feed: match the position gains (Kv) or the feed-forward of both axes",
@@ -426,7 +426,7 @@ fn drift(record: &Record, terms: &[Fitted]) -> Vec<Parameter> {
 /// Uₙ(t)·√(1 − t²) = sin((n + 1)·acos t) makes the harmonic sin mφ of the second axis along the first. Of the first axis
 /// along the second φ is counted from the other axis: cos 3φ ↦ −U₂, sin 4φ ↦ −U₃, cos 5φ ↦ U₄, sin 6φ ↦ U₅, cos 7φ ↦ −U₆.
 #[must_use]
-pub fn straightness_um(terms: &[Fitted], share: f64) -> f64 {
+pub(crate) fn straightness_um(terms: &[Fitted], share: f64) -> f64 {
     let is_first = terms.iter().any(|it| matches!(it.term, Term::Form(3 | 5 | 7, Wave::Cosine)));
     let of = |it: &Fitted| {
         let Term::Form(number, _) = it.term else { return 0.0 };

@@ -10,14 +10,14 @@ use super::record::{READING, Record};
 use crate::known::{is_input, with_columns};
 
 /// Radial readings, and the offsets that a bridge had applied.
-pub struct Radial {
+pub(crate) struct Radial {
     readings_um: Vec<f64>,
     offsets_um: Option<[Vec<f64>; 3]>,
 }
 
 impl Radial {
     /// Returns the reading of a row without what was applied; NaN where that is not known.
-    pub fn radial_um(&self, row: usize, axes: [LinearAxis; 2], angle: f64) -> f64 {
+    pub(crate) fn radial_um(&self, row: usize, axes: [LinearAxis; 2], angle: f64) -> f64 {
         let applied = self.offsets_um.as_ref().map_or(0.0, |offsets| {
             let [u, v] = axes.map(|axis| offsets[axis.index()][row]);
             u * angle.cos() + v * angle.sin()
@@ -27,7 +27,7 @@ impl Radial {
 }
 
 /// Returns the readings of `run` without what a bridge had applied, once they are at an angle.
-pub fn without_offsets(
+pub(crate) fn without_offsets(
     run: &RunFile,
     machine: Option<&Machine>,
     warnings: &mut Vec<String>,
@@ -42,7 +42,7 @@ pub fn without_offsets(
 }
 
 /// Takes the prediction of `machine` off the readings. Laws whose columns the run lacks are left out, with a warning.
-pub fn take_off(
+pub(crate) fn take_off(
     record: &mut Record,
     runs: &[RunFile],
     machine: &Machine,

@@ -9,7 +9,7 @@ use super::path::turned;
 use crate::report::SetAside;
 
 /// The column with the readings.
-pub const READING: &str = "measured_dr_um";
+pub(crate) const READING: &str = "measured_dr_um";
 
 /// The plane of a circle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -111,7 +111,7 @@ impl Record {
 
     /// Returns whether there are rows of this direction.
     #[must_use]
-    pub fn has_sense(&self, sense: f64) -> bool {
+    pub(crate) fn has_sense(&self, sense: f64) -> bool {
         self.rows.iter().any(|row| row.sense * sense > 0.0)
     }
 

@@ -168,7 +168,7 @@ fn reverse(axis: usize, row: &Row) -> f64 {
 
 /// Returns the angle that was travelled since a reversal of `axis`, negative ahead of it, in −π…π.
 #[must_use]
-pub fn since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
+pub(crate) fn since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
     let end = if is_positive { 0.0 } else { PI };
     let turned = row.sense * (row.angle - end - FRAC_PI_2 * axis as f64);
     turned - TAU * (turned / TAU).round()
@@ -176,7 +176,7 @@ pub fn since_reversal(row: &Row, axis: usize, is_positive: bool) -> f64 {
 
 /// Returns the travel of `axis` behind its last reversal, in mm, at the row before: 0 within `step` of a reversal, in rad.
 #[must_use]
-pub fn travel_since_reversal(row: &Row, axis: usize, radius_mm: f64, step: f64) -> f64 {
+pub(crate) fn travel_since_reversal(row: &Row, axis: usize, radius_mm: f64, step: f64) -> f64 {
     let since = [true, false].map(|end| since_reversal(row, axis, end)).into_iter();
     let last = since.filter(|it| *it >= -step).fold(f64::INFINITY, f64::min);
     radius_mm * (1.0 - (last - step).max(0.0).cos())

@@ -29,7 +29,7 @@ pub enum Drive {
 ///
 /// # Errors
 /// It stood elsewhere, or moved.
-pub fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Drive>, BadInput> {
+pub(crate) fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Drive>, BadInput> {
     let column = format!("{}_mm", dual.across.name());
     let Some(places) = run.column(&column) else { return Ok(None) };
     let mut found = None;
@@ -58,7 +58,7 @@ pub fn drive_of(run: &Uncompensated<'_>, dual: &Dual) -> Result<Option<Drive>, B
 /// Fits both tables. `options` are asked for each run.
 ///
 /// # Errors
-/// As [`fit`] and [`drive_of`]; two runs of the same drive, or more than two.
+/// As [`fit`] and `drive_of`; two runs of the same drive, or more than two.
 pub fn fit_both<E: From<BadInput>>(
     runs: &[Uncompensated<'_>],
     axis: LinearAxis,

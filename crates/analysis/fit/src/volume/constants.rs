@@ -166,7 +166,7 @@ impl Constants {
 
     /// Returns the numbers of the constants of an error.
     #[must_use]
-    pub fn of_error(&self, error: Error) -> Vec<usize> {
+    pub(crate) fn of_error(&self, error: Error) -> Vec<usize> {
         (0..self.all.len()).filter(|at| self.all[*at].error == error).collect()
     }
 

@@ -79,7 +79,11 @@ pub type Normals = [Normal; 4];
 
 /// Returns the normal equations of those readings for which `is_in` holds.
 #[must_use]
-pub fn normals(design: &Design, readings: &[Reading], is_in: impl Fn(usize) -> bool) -> Normals {
+pub(crate) fn normals(
+    design: &Design,
+    readings: &[Reading],
+    is_in: impl Fn(usize) -> bool,
+) -> Normals {
     let columns = design.columns();
     Kind::ALL.map(|kind| {
         let own: Vec<usize> =

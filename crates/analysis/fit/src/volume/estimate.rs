@@ -39,7 +39,7 @@ const MIN_NOISE_UM: f64 = 0.02;
 
 /// Constants that are of one size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Family {
+pub(crate) enum Family {
     /// Lines of positions.
     Scale,
     /// Forms of positions.
@@ -118,7 +118,7 @@ impl Variances {
 
     /// Returns the same without any error of the machine.
     #[must_use]
-    pub fn without_errors(&self, design: &Design) -> Self {
+    pub(crate) fn without_errors(&self, design: &Design) -> Self {
         let mut own = self.clone();
         own.of_column[..design.constants.all.len()].fill(0.0);
         own
@@ -164,7 +164,7 @@ impl Posterior {
 /// # Panics
 /// The equations are not finite.
 #[must_use]
-pub fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
+pub(crate) fn posterior(normals: &Normals, variances: &Variances) -> Posterior {
     let count = variances.of_column.len();
     let scale = DVector::from_iterator(count, variances.of_column.iter().map(|it| it.sqrt()));
     let (mut squares, mut products) = (DMatrix::zeros(count, count), DVector::zeros(count));

@@ -19,7 +19,7 @@ use super::{
 /// Share of the standard deviation before the measurement that may be left of a known error.
 pub const KNOWN: f64 = 0.4;
 /// How much longer a second tool is.
-pub const LONGER_MM: f64 = 100.0;
+pub(crate) const LONGER_MM: f64 = 100.0;
 /// How much larger than usual an error may be in what a measurement can see.
 const WIDE: f64 = 2.0;
 /// Places along the travel at which a function is looked at.
@@ -97,7 +97,7 @@ fn place_mm([first, last]: [f64; 2], number: usize) -> f64 {
 
 /// Returns what the places of the readings can see: expected variances that are wide, and those after.
 #[must_use]
-pub fn sight(
+pub(crate) fn sight(
     design: &Design,
     normals: &Normals,
     uncertainty: &Uncertainty,

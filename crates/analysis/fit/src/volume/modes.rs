@@ -85,7 +85,7 @@ impl Modes {
 
     /// Returns the middle of the travel.
     #[must_use]
-    pub fn middle_mm(&self) -> f64 {
+    pub(crate) fn middle_mm(&self) -> f64 {
         0.5 * (self.ends_mm[0] + self.ends_mm[1])
     }
 

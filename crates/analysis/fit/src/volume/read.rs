@@ -23,15 +23,15 @@ use super::{
 use crate::circle::{self, record::READING as RADIAL};
 
 /// The columns of components, of X, Y and Z.
-pub const COMPONENTS: [&str; 3] = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
+pub(crate) const COMPONENTS: [&str; 3] = ["measured_dx_um", "measured_dy_um", "measured_dz_um"];
 /// The column of diagonals.
-pub const DIAGONAL: &str = "measured_diagonal_um";
+pub(crate) const DIAGONAL: &str = "measured_diagonal_um";
 /// Readings of one pass of a circle; more are thinned.
 const A_PASS: usize = 180;
 /// The alignment of a square, in the place of an axis.
 const OF_SQUARE: u64 = 4;
 /// Fewer readings are no measurement of a volume.
-pub const MIN_READINGS: usize = 24;
+pub(crate) const MIN_READINGS: usize = 24;
 
 /// Returns the readings of `runs` without what `machine` predicts. `is_certified`: the form of a straight edge is right.
 ///

@@ -97,7 +97,7 @@ impl Nuisance {
 
 /// The means of each set-up's places, about which it is turned.
 #[derive(Clone, Debug, Default)]
-pub struct Centres(BTreeMap<usize, ([f64; 3], f64)>);
+pub(crate) struct Centres(BTreeMap<usize, ([f64; 3], f64)>);
 
 impl Centres {
     /// Returns the centres of the set-ups of `readings`.
@@ -129,7 +129,11 @@ fn place_mm(reading: &Reading, frame: &Frame<'_>) -> [f64; 3] {
 
 /// Returns the unknowns of a reading, each with what a unit of it adds.
 #[must_use]
-pub fn unknowns(reading: &Reading, frame: &Frame<'_>, centres: &Centres) -> Vec<(Nuisance, f64)> {
+pub(crate) fn unknowns(
+    reading: &Reading,
+    frame: &Frame<'_>,
+    centres: &Centres,
+) -> Vec<(Nuisance, f64)> {
     let own = reading.setup;
     let arm_mm = centres.arm_mm(reading, frame);
     match (reading.kind, reading.on_circle) {

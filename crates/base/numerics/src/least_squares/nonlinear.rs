@@ -38,7 +38,7 @@ pub trait Model {
 
 /// (f(p + h) − f(p − h))/2h in each parameter, h the cube root of the machine's precision, relative:
 /// there truncation and rounding are both about 1e-10.
-pub fn central_differences<M: Model + ?Sized>(
+pub(crate) fn central_differences<M: Model + ?Sized>(
     model: &M,
     parameters: &[f64],
     columns: &mut [Vec<f64>],

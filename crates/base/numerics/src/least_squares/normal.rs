@@ -2,7 +2,7 @@
 //! Cholesky. For searches that solve thousands of small problems over the same long columns.
 //!
 //! The normal equations square the condition number, so that columns which resemble each other cost
-//! twice the digits that they cost the [triangle](super::givens_qr). In return they save time. Measured
+//! twice the digits that they cost the triangle. In return they save time. Measured
 //! (`tests/normal_equations.rs`, `tests/nist.rs`, release build):
 //!
 //! | 100,000 rows, independent columns | triangle | normal equations | apart |

@@ -36,7 +36,7 @@ pub struct Between {
 impl Between {
     /// R² of the line; below 0 where it is worse than nothing.
     #[must_use]
-    pub fn r_squared(&self) -> f64 {
+    pub(crate) fn r_squared(&self) -> f64 {
         1.0 - (self.line / self.nothing).powi(2)
     }
 

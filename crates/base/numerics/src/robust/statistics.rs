@@ -31,7 +31,7 @@ impl Outlier {
 
 /// Returns how many scales away a row of `rows` is set aside.
 #[must_use]
-pub fn cutoff(rows: usize, fitted: usize) -> f64 {
+pub(crate) fn cutoff(rows: usize, fitted: usize) -> f64 {
     let known = 0.37 * rows.saturating_sub(fitted).max(1) as f64;
     t_quantile(1.0 - 0.005 / rows.max(1) as f64, known).max(GROSS)
 }

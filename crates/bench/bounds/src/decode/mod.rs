@@ -12,11 +12,11 @@ mod wide;
 /// Number of a core register.
 pub type Register = u8;
 /// The stack pointer, the link register, the program counter.
-pub const SP: Register = 13;
+pub(crate) const SP: Register = 13;
 /// See [`SP`].
-pub const LR: Register = 14;
+pub(crate) const LR: Register = 14;
 /// See [`SP`].
-pub const PC: Register = 15;
+pub(crate) const PC: Register = 15;
 
 /// The place at which an instruction leads on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

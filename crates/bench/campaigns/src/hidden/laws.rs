@@ -34,7 +34,7 @@ pub(super) struct WarmupLaw {
 
 impl WarmupLaw {
     /// (t₂ − t₁)/k.
-    pub fn heating_s(&self) -> f64 {
+    pub(crate) fn heating_s(&self) -> f64 {
         (self.warm_s - self.lag_s) / self.exponent
     }
 

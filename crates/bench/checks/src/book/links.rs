@@ -28,7 +28,7 @@ pub fn of(text: &str) -> Vec<Link> {
 }
 
 /// Returns the same text with the targets that `new` gives; `None` leaves one as it is.
-pub fn rewritten(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
+pub(crate) fn rewritten(text: &str, new: &mut dyn FnMut(&str) -> Option<String>) -> String {
     rewritten_with(text, &mut |_, target| new(target))
 }
 
@@ -72,13 +72,13 @@ pub fn split(target: &str) -> (&str, &str) {
 }
 
 /// Returns the file that a page, or a line of it, includes as a whole.
-pub fn included(page: &Path, text: &str) -> Option<PathBuf> {
+pub(crate) fn included(page: &Path, text: &str) -> Option<PathBuf> {
     let path = text.trim().strip_prefix("{{#include ")?.strip_suffix("}}")?;
     Some(normal(&page.parent()?.join(path)))
 }
 
 /// Returns a path without `..`.
-pub fn normal(path: &Path) -> PathBuf {
+pub(crate) fn normal(path: &Path) -> PathBuf {
     path.components().fold(PathBuf::new(), |mut normal, part| {
         match part {
             Component::ParentDir => drop(normal.pop()),

@@ -41,7 +41,7 @@ const CAUSES: &[&str] = &[
 const PAGES: &str = "crates/model/machine/src/effect/";
 
 /// Returns the cause that is named in most places, and these as `file:line`.
-pub fn most_often_named(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
+pub(crate) fn most_often_named(sources: &[SourceFile]) -> (&'static str, Vec<String>) {
     let counted = CAUSES.iter().map(|&cause| (cause, places(sources, cause)));
     counted.max_by_key(|(_, places)| places.len()).expect("the list is not empty")
 }

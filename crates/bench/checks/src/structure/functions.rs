@@ -3,7 +3,7 @@
 use super::source::{SourceFile, is_name};
 
 /// Lines that a function may have, from its name to its last brace.
-pub const LONGEST: usize = 100;
+pub(crate) const LONGEST: usize = 100;
 
 /// A function above [`LONGEST`] lines.
 pub struct Long {

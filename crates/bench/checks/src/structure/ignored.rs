@@ -9,7 +9,7 @@ const ATTRIBUTE: &str = "#[ignore";
 
 /// Returns `file: name` of each ignored test whose reason is neither `long: …`, nor `campaign: …` with a name that begins
 /// with `campaign_`.
-pub fn without_tier(sources: &[SourceFile]) -> Vec<String> {
+pub(crate) fn without_tier(sources: &[SourceFile]) -> Vec<String> {
     let found = sources.iter().flat_map(|source| {
         tests(&source.text)
             .filter(|(reason, name)| match reason.split_once(": ") {

@@ -85,7 +85,7 @@ pub struct Language {
 
 impl Language {
     /// Returns a count per 10,000 words.
-    pub fn frequency(&self, count: usize) -> f64 {
+    pub(crate) fn frequency(&self, count: usize) -> f64 {
         1e4 * count as f64 / self.words.max(1) as f64
     }
 }

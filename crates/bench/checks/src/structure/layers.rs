@@ -48,7 +48,7 @@ const LAYERS: &[(&str, &[&str])] = &[
 ];
 
 /// Returns the dependencies that lead to a higher layer, as `crate -> crate (layer)`. Those of tests alone do not count.
-pub fn arrows_up(root: &Path) -> Result<Vec<String>> {
+pub(crate) fn arrows_up(root: &Path) -> Result<Vec<String>> {
     let mut manifests = Vec::new();
     for (layer, names) in LAYERS {
         for name in *names {
@@ -64,7 +64,7 @@ pub fn arrows_up(root: &Path) -> Result<Vec<String>> {
 
 /// Returns the folders of crates in `crates`, or in a folder of a layer there, that [`LAYERS`] does not name: their
 /// arrows are seen by nothing.
-pub fn without_layer(root: &Path) -> Result<Vec<String>> {
+pub(crate) fn without_layer(root: &Path) -> Result<Vec<String>> {
     let crates = root.join("crates");
     let mut found = Vec::new();
     for folder in [crates.clone()].into_iter().chain(LAYERS.iter().map(|(it, _)| crates.join(it))) {

@@ -1,5 +1,6 @@
 //! The structure of the source, counted: circles of files, files and functions that are too long, dependencies on a
-//! higher layer, places that name one cause of error outside its page; and the language of documents.
+//! higher layer, places that name one cause of error outside its page, public items that nothing needs; and the language
+//! of documents.
 //!
 //! A file that needs a file that needs the first cannot be read, tried or changed alone; a file of a
 //! thousand lines is not read at all; and a cause that is written in thirty places is added in
@@ -13,6 +14,7 @@ mod language;
 mod layers;
 mod modules;
 pub mod names;
+mod public;
 mod source;
 mod thresholds;
 
@@ -48,6 +50,8 @@ struct Limits {
     unseen: usize,
     /// Ignored tests that are of no tier.
     without_tier: usize,
+    /// Public items that nothing outside their crate names.
+    public: usize,
     /// Places that name the one cause that is named in most.
     places: usize,
     /// Numbers that decide in the finder.
@@ -66,10 +70,14 @@ const LIMITS: Limits = Limits {
     cut_tables: 0,
     unseen: 0,
     without_tier: 0,
+    public: 0,
     places: 2,
     thresholds: 64,
     stale: 0,
 };
+
+/// Lines of code that the project aims at.
+const CODE: usize = 110_000;
 
 /// How many files with the most counted words are named.
 const NAMED_FILES: usize = 8;
@@ -113,30 +121,27 @@ pub fn check(root: &Path) -> Result<String> {
     for it in &long {
         writeln!(text, "    {:5}  {} {}", it.lines, it.place, it.name)?;
     }
-    let arrows = layers::arrows_up(root)?;
-    head(&mut text, "arrows up", arrows.len(), LIMITS.arrows)?;
-    for arrow in &arrows {
-        writeln!(text, "    {arrow}")?;
-    }
-    let strangers = layers::without_layer(root)?;
-    head(&mut text, "crates without a layer", strangers.len(), LIMITS.strangers)?;
-    for folder in &strangers {
-        writeln!(text, "    {folder}")?;
-    }
-    let unseen = modules::unseen(&sources);
-    head(&mut text, "files that the format check does not see", unseen.len(), LIMITS.unseen)?;
-    for path in &unseen {
-        writeln!(text, "    {path}")?;
-    }
-    let without_tier = ignored::without_tier(&sources);
-    head(
-        &mut text,
-        "ignored tests whose reason and name are of no tier",
-        without_tier.len(),
-        LIMITS.without_tier,
-    )?;
-    for test in &without_tier {
-        writeln!(text, "    {test}")?;
+    let public = public::find(&sources, &public::packages(root)?);
+    let what = format!("public items that nothing outside their crate names, of {}", public.all);
+    for (what, found, limit) in [
+        ("arrows up", layers::arrows_up(root)?, LIMITS.arrows),
+        ("crates without a layer", layers::without_layer(root)?, LIMITS.strangers),
+        (
+            "files that the format check does not see",
+            modules::unseen(&sources).into_iter().map(str::to_owned).collect(),
+            LIMITS.unseen,
+        ),
+        (
+            "ignored tests whose reason and name are of no tier",
+            ignored::without_tier(&sources),
+            LIMITS.without_tier,
+        ),
+        (what.as_str(), public.unused, LIMITS.public),
+    ] {
+        head(&mut text, what, found.len(), limit)?;
+        for place in &found {
+            writeln!(text, "    {place}")?;
+        }
     }
     let what = format!("places that name {cause} outside its page, the list, the twin and tests");
     head(&mut text, &what, places.len(), LIMITS.places)?;
@@ -159,6 +164,11 @@ pub fn check(root: &Path) -> Result<String> {
             writeln!(text, "    {place}")?;
         }
     }
+    let lines: usize = sources.iter().map(SourceFile::lines_of_code).sum();
+    writeln!(
+        text,
+        "lines of code without tests, comments and blank lines: {lines} (target: {CODE})"
+    )?;
     writeln!(text, "words per 10,000 of {} (target: 2 at most each)", language.words)?;
     for (what, count) in &language.counts {
         writeln!(text, "    {:5.1}  {what}", language.frequency(*count))?;

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use super::source::{SourceFile, is_name};
 
 /// Returns the paths of the source files that no plain `mod` line declares.
-pub fn unseen(sources: &[SourceFile]) -> Vec<&str> {
+pub(crate) fn unseen(sources: &[SourceFile]) -> Vec<&str> {
     let paths: BTreeSet<&str> = sources.iter().map(|source| source.path.as_str()).collect();
     let mut seen = BTreeSet::new();
     for source in sources {

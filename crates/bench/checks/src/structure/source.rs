@@ -24,13 +24,19 @@ impl SourceFile {
     }
 
     /// Returns the code with what is compiled for tests, as long as [`Self::text`].
-    pub fn code_with_tests(&self) -> String {
+    pub(crate) fn code_with_tests(&self) -> String {
         String::from_utf8_lossy(&without_comments(&self.text).1).into_owned()
     }
 
     /// Returns how many lines it has.
     pub fn lines(&self) -> usize {
         self.text.lines().count()
+    }
+
+    /// Returns how many lines are code: those of tests and examples, comments and blank ones do not count.
+    pub(crate) fn lines_of_code(&self) -> usize {
+        let is_code = |line: &&str| !line.trim().is_empty();
+        if self.is_test() { 0 } else { self.words.lines().filter(is_code).count() }
     }
 
     /// Returns whether all of it is there for tests or examples.
@@ -86,7 +92,7 @@ fn find(bytes: &[u8], what: &[u8]) -> Option<usize> {
 }
 
 /// Where the item ends that begins here: after its `;`, or after the brace that closes its body.
-fn end_of_item(code: &[u8], from: usize) -> usize {
+pub(super) fn end_of_item(code: &[u8], from: usize) -> usize {
     let mut depth = 0usize;
     for (at, &byte) in code.iter().enumerate().skip(from) {
         match byte {
@@ -192,7 +198,7 @@ fn end_of_character(bytes: &[u8], from: usize) -> usize {
 }
 
 /// Returns whether a byte may stand in a name.
-pub fn is_name(byte: u8) -> bool {
+pub(crate) fn is_name(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || byte == b'_'
 }
 
@@ -220,5 +226,6 @@ mod tests {
             assert_eq!(source.code.contains(word), in_code, "{word} in code");
         }
         assert_eq!(source.code.len(), text.len());
+        assert_eq!(source.lines_of_code(), 4);
     }
 }

@@ -30,7 +30,7 @@ use trueup_link::{
 use trueup_pipe::FRAMES;
 
 /// Cycles from one pair to the next while time is compressed.
-pub const COMPRESSED_STRIDE: u32 = 257;
+pub(crate) const COMPRESSED_STRIDE: u32 = 257;
 /// A client that takes nothing in for so long is gone.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// What `N` answers.
@@ -88,19 +88,19 @@ impl Adapter {
     }
 
     /// Every this many cycles a pair is passed on.
-    pub fn set_stride(&mut self, stride: u32) {
+    pub(crate) fn set_stride(&mut self, stride: u32) {
         self.stride = stride;
     }
 
     /// Pairs passed on to the CNC, and frames received from it.
     #[must_use]
-    pub fn traffic(&self) -> (u64, u64) {
+    pub(crate) fn traffic(&self) -> (u64, u64) {
         (self.passed, lock(&self.shared).heard)
     }
 
     /// Returns whether the CNC has sent something within `time`.
     #[must_use]
-    pub fn has_received_within(&self, time: Duration) -> bool {
+    pub(crate) fn has_received_within(&self, time: Duration) -> bool {
         lock(&self.shared).last_heard.is_some_and(|heard| heard.elapsed() < time)
     }
 

@@ -7,7 +7,7 @@
 //! | sensor | blocks of 20 codes through the front end | volts at the converter's pin, TIM3, ADC1, DMA |
 //! | temperatures | the converters' words | ohms behind MAX31865 on SPI |
 //! | the CNC's line | CAN through pipes, [`Adapter`] | the image's own SLCAN on USART1 |
-//! | its second is | a second of the wall, or less | [`Bridge::slower`] seconds of the wall |
+//! | its second is | a second of the wall, or less | `Bridge::slower` seconds of the wall |
 //! | two hours | are lived through by the board | are the machine's: it lives faster than the board |
 //!
 //! The model cannot outrun the wall, so what is slow there is the time of everything: LinuxCNC's feeds are
@@ -148,7 +148,7 @@ impl Bridge {
 
     /// Returns a second of the board, in seconds of the wall, while the axes move.
     #[must_use]
-    pub fn slower(&self) -> u32 {
+    pub(crate) fn slower(&self) -> u32 {
         match self.board {
             Board::Qemu { .. } | Board::Servo { .. } => 1,
             Board::Chip { slower, .. } => slower,
@@ -240,13 +240,13 @@ impl Bridge {
 
     /// Returns whether its time begins with that of LinuxCNC: what is said before would be late for good.
     #[must_use]
-    pub fn waits_for_cnc(&self) -> bool {
+    pub(crate) fn waits_for_cnc(&self) -> bool {
         matches!(self.board, Board::Servo { .. })
     }
 
     /// Returns whether the CNC has sent something within `time`, where that is known.
     #[must_use]
-    pub fn has_received_within(&self, time: Duration) -> bool {
+    pub(crate) fn has_received_within(&self, time: Duration) -> bool {
         match &self.board {
             Board::Qemu { adapter, .. } => adapter.has_received_within(time),
             Board::Chip { .. } | Board::Servo { .. } => true,
@@ -278,7 +278,7 @@ impl Bridge {
 
     /// Returns what the board has logged since it was last asked.
     #[must_use]
-    pub fn take_log(&self) -> Vec<String> {
+    pub(crate) fn take_log(&self) -> Vec<String> {
         match &self.board {
             Board::Qemu { board, .. } => board.take_log(),
             Board::Chip { board, .. } => board.take_log(),

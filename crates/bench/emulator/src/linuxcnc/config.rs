@@ -17,37 +17,37 @@ use super::{By, plant::PINS};
 /// The travel of X, Y and Z in mm, from 0.
 pub const TRAVEL_MM: [f64; 3] = [14_300.0, 3_000.0, 2_500.0];
 /// The share of an axis' speed and acceleration that external offsets get.
-pub const OFFSET_AV_RATIO: f64 = 0.0025;
+pub(crate) const OFFSET_AV_RATIO: f64 = 0.0025;
 /// The feed along the diagonal in mm/min.
-pub const DIAGONAL_FEED: f64 = 58_000.0;
+pub(crate) const DIAGONAL_FEED: f64 = 58_000.0;
 /// The centre, the radius and the feed of the arc.
-pub const ARC: ([f64; 2], f64, f64) = ([13_000.0, 1_500.0], 700.0, 20_000.0);
+pub(crate) const ARC: ([f64; 2], f64, f64) = ([13_000.0, 1_500.0], 700.0, 20_000.0);
 /// The heights of the staircase in mm; off the multiples of the screw's pitch.
-pub const STAIRS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
+pub(crate) const STAIRS_MM: [f64; 6] = [101.3, 509.9, 901.2, 1_309.1, 1_717.5, 2_126.8];
 /// The feed between them in mm/min.
-pub const STAIRS_FEED: f64 = 30_000.0;
+pub(crate) const STAIRS_FEED: f64 = 30_000.0;
 /// The feed of the move with five axes in mm/min.
 const FIVE_AXES_FEED: f64 = 4_000.0;
 /// How long a program waits until an offset has settled.
 const DWELL_S: f64 = 0.3;
 /// How long it stands at each height of the staircase. LinuxCNC's interpreter ends a dwell by the wall's clock,
 /// so where the computer keeps the servo thread waiting, that many cycles are missing from the dwell.
-pub const STAIR_DWELL_S: f64 = 1.0;
+pub(crate) const STAIR_DWELL_S: f64 = 1.0;
 /// The spindle's speed in r/min.
-pub const SPINDLE_RPM: f64 = 24_000.0;
+pub(crate) const SPINDLE_RPM: f64 = 24_000.0;
 
 /// Steps of a program, as it says them on `motion.analog-out-01`.
 pub mod phase {
     /// The diagonal.
-    pub const DIAGONAL: u32 = 1;
+    pub(crate) const DIAGONAL: u32 = 1;
     /// The arc.
-    pub const ARC: u32 = 2;
+    pub(crate) const ARC: u32 = 2;
     /// The staircase.
-    pub const STAIRS: u32 = 3;
+    pub(crate) const STAIRS: u32 = 3;
     /// The warm-up.
-    pub const WARM_UP: u32 = 4;
+    pub(crate) const WARM_UP: u32 = 4;
     /// Rotary axes in motion.
-    pub const FIVE_AXES: u32 = 5;
+    pub(crate) const FIVE_AXES: u32 = 5;
 }
 
 /// How often the position of a moving axis is sent, in ms of the board.
@@ -147,7 +147,7 @@ HOME_SEQUENCE = 0
 
 /// Returns the machine: joints that are where they are told to be.
 #[must_use]
-pub fn machine_hal() -> String {
+pub(crate) fn machine_hal() -> String {
     let mut text = String::from(
         "\
 loadrt [KINS]KINEMATICS
@@ -169,7 +169,7 @@ setp spindle.0.at-speed 1
 
 /// Returns the bridge's wires, with the angles of the head; a slow bridge's slew limit is as slow.
 #[must_use]
-pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
+pub(crate) fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
     let period = "--position-period-ms";
     let slew = match slower {
         1 => String::new(),
@@ -180,7 +180,7 @@ pub fn trueup_hal(shipped: &str, slew_um_per_s: f64, slower: u32) -> String {
 }
 
 /// The angles and the load, by the names that setup looks for.
-pub const ANGLES: [&str; 3] = [
+pub(crate) const ANGLES: [&str; 3] = [
     "trueup-angle-1 axis.c.pos-cmd",
     "trueup-angle-2 axis.a.pos-cmd",
     "trueup-load motion.analog-out-00",
@@ -188,14 +188,14 @@ pub const ANGLES: [&str; 3] = [
 
 /// Returns the angles and the load for the bridge.
 #[must_use]
-pub fn angles_hal() -> String {
+pub(crate) fn angles_hal() -> String {
     let to = ["angle-1", "angle-2", "load-n"];
     ANGLES.iter().zip(to).map(|(net, pin)| format!("net {net} => trueup.0.{pin}\n")).collect()
 }
 
 /// Returns the writer of the servo cycles.
 #[must_use]
-pub fn loop_hal(by: By) -> String {
+pub(crate) fn loop_hal(by: By) -> String {
     let offsets = match by {
         By::Eoffset => ["trueup-x-eoff", "trueup-y-eoff", "trueup-z-eoff"],
         By::Joint => ["trueup-j0-now", "trueup-j1-now", "trueup-j2-now"],

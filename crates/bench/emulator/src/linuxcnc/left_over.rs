@@ -15,7 +15,7 @@ use crate::process;
 const TABLE: &str = "/proc/sysvipc/shm";
 
 /// Returns the keys of the segments that LinuxCNC was denied.
-pub fn denied(said: &str) -> Vec<u32> {
+pub(crate) fn denied(said: &str) -> Vec<u32> {
     let key = |line: &str| {
         let (_, rest) = line.split_once("rtapi_shmem_new failed due to shmget(key=0x")?;
         let (key, reason) = rest.split_once(')')?;

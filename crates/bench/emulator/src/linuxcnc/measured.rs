@@ -20,7 +20,7 @@ const BASE: &str = include_str!("base.toml");
 /// Seeds of the measured runs; the loop itself has another.
 const SEEDS: [u64; 5] = [11, 12, 13, 14, 15];
 /// Seed of the machine in the loop.
-pub const LOOP_SEED: u64 = 2_024;
+pub(crate) const LOOP_SEED: u64 = 2_024;
 
 /// A position run of an axis.
 struct Positions {
@@ -101,7 +101,7 @@ impl Measured {
     ///
     /// # Errors
     /// A time is not a number.
-    pub fn hurried(&self, factor: u32) -> Result<String> {
+    pub(crate) fn hurried(&self, factor: u32) -> Result<String> {
         let hurry = |line: &str| -> Result<String> {
             let Some((key, value)) = line.split_once(" = ") else { return Ok(line.into()) };
             if !TIMES.contains(&key) {

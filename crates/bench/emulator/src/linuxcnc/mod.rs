@@ -21,14 +21,14 @@
 //!
 //! Tests that need a control and no bridge start the LinuxCNC of [`three_joints`].
 //!
-//! What is compressed, and how. In QEMU: in the warm-up a second of the wall is up to [`COMPRESSION`]
+//! What is compressed, and how. In QEMU: in the warm-up a second of the wall is up to `COMPRESSION`
 //! seconds of board and machine; LinuxCNC stays in real time and its G-code waits for the machine's clock.
 //! The board counts silence of the CNC in its own time, so it gets `[limits]` that are as many times
 //! longer, and LinuxCNC gets every 257th pair of offsets. All motion is cut at real time.
 //!
 //! On the model of the chip a second of the board is some of the wall, by a factor that is measured first.
 //! The motion is slower by it (see [`config`]) and every figure is taken in the board's time. The board
-//! itself cannot be hurried, so in the warm-up the machine is: it lives [`COMPRESSION`] seconds in one
+//! itself cannot be hurried, so in the warm-up the machine is: it lives `COMPRESSION` seconds in one
 //! of the board, whose machine file has time constants as many times shorter. No limit of anybody is other.
 //!
 //! Without a board it is the same: the servo thread is in real time, and the machine file has short time constants from the
@@ -74,7 +74,7 @@ use crate::{chip, firmware, programs, setup};
 
 /// How many times faster the machine lives through the warm-up: in QEMU than the wall, with the board, if
 /// this computer is fast enough; on the model of the chip than the board.
-pub const COMPRESSION: u32 = 72;
+pub(crate) const COMPRESSION: u32 = 72;
 
 /// Where the bridge runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, ValueEnum)]
@@ -128,9 +128,9 @@ impl Way {
 }
 
 /// The warm-up in seconds of the machine.
-pub const WARM_UP_S: u32 = 7_200;
+pub(crate) const WARM_UP_S: u32 = 7_200;
 /// The first pass of the path, without compensation, and the second, with it; then the warm-up.
-pub const PASSES: [u32; 3] = [1, 2, 3];
+pub(crate) const PASSES: [u32; 3] = [1, 2, 3];
 /// A part of a program may take so long.
 const PATIENCE: Duration = Duration::from_secs(180);
 /// The warm-up may take this many times as long as planned, on a computer that is too slow.

@@ -21,7 +21,7 @@ const VOLTS: f64 = 1.5;
 const CELSIUS: f64 = 20.0;
 
 /// A bridge with the head of its machine straight and its spindle at rest.
-pub struct OnHost<'a> {
+pub(crate) struct OnHost<'a> {
     bridge: Bridge<'a>,
     state: State,
     front_end: FrontEnd,
@@ -84,7 +84,7 @@ impl<'a> OnHost<'a> {
 ///
 /// # Errors
 /// It does not compile, or asks for none.
-pub fn asked_um(file: &Machine, cycles: &[&Cycle]) -> Result<Vec<[f64; 3]>> {
+pub(crate) fn asked_um(file: &Machine, cycles: &[&Cycle]) -> Result<Vec<[f64; 3]>> {
     let compiled = trueup_machine::compile(file)?;
     let mut bridge = OnHost::new(&compiled, file, 1)?;
     let celsius = bridge.temperatures.keys().map(|name| (name.clone(), CELSIUS)).collect();

@@ -97,7 +97,7 @@ pub struct Cycle {
 impl Cycle {
     /// Where the program wants the tool tip, in mm.
     #[must_use]
-    pub fn commanded_mm(&self) -> [f64; 3] {
+    pub(crate) fn commanded_mm(&self) -> [f64; 3] {
         std::array::from_fn(|axis| self.motor_mm[axis] - self.eoffset_mm[axis])
     }
 }
@@ -172,7 +172,7 @@ impl Plant {
 
     /// Returns a second of the machine in motion, in seconds of the wall.
     #[must_use]
-    pub fn slower(&self) -> u32 {
+    pub(crate) fn slower(&self) -> u32 {
         self.slower
     }
 
@@ -192,7 +192,7 @@ impl Plant {
     }
 
     /// Lets time pass this many times as fast for the machine.
-    pub fn set_factor(&self, factor: u32) {
+    pub(crate) fn set_factor(&self, factor: u32) {
         self.shared.factor.store(factor, Ordering::Relaxed);
     }
 
@@ -203,13 +203,13 @@ impl Plant {
 
     /// Returns the newest servo cycle.
     #[must_use]
-    pub fn latest(&self) -> Option<Cycle> {
+    pub(crate) fn latest(&self) -> Option<Cycle> {
         lock(&self.shared.cycles).last().copied()
     }
 
     /// Returns what the board has logged since it was last asked.
     #[must_use]
-    pub fn take_log(&self) -> Vec<String> {
+    pub(crate) fn take_log(&self) -> Vec<String> {
         std::mem::take(&mut lock(&self.shared.log))
     }
 

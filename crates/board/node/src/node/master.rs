@@ -136,12 +136,12 @@ pub(super) struct ControlEvent {
 
 impl Master {
     /// Returns true if the commands of a CNC are accepted from this line.
-    pub fn admits(&self, line: Interface) -> bool {
+    pub(crate) fn admits(&self, line: Interface) -> bool {
         self.line.is_none_or(|his| his == line)
     }
 
     /// Records a CNC's frame on a line that is not the master's. A damaged frame is noise and does not count.
-    pub fn receive_other(&mut self) {
+    pub(crate) fn receive_other(&mut self) {
         self.other_line_ms = TOLD_MS;
     }
 
@@ -205,7 +205,7 @@ impl Master {
     }
 
     /// Returns whether the engage sequence is complete.
-    pub const fn is_started(&self) -> bool {
+    pub(crate) const fn is_started(&self) -> bool {
         self.is_started
     }
 
@@ -217,7 +217,7 @@ impl Master {
     /// Returns whether the master is the CNC: it has engaged since it began to speak, or it speaks since the start of
     /// the board without a gap, and its axes are referenced. A tool that sends `Control` for want of a CNC has no axes.
     /// One that comes after a silence may be anybody.
-    pub fn is_cnc(&self) -> bool {
+    pub(crate) fn is_cnc(&self) -> bool {
         let from_the_start = !self.was_interrupted && self.last.referenced;
         self.line.is_some() && (self.has_engaged || from_the_start)
     }

@@ -12,6 +12,7 @@ use trueup_canopen::{
 };
 use trueup_core::{bridge::Reference, cnc::Control, units::Nanometres};
 use trueup_link::layout::{CONTROL_ID, EMERGENCY_ID, HEARTBEAT_ID, SDO_ANSWER_ID};
+use trueup_link::status::ResetReason;
 use trueup_store::{
     calibration::{MAX_SIZE, encode, identity},
     reference::Standing,
@@ -417,7 +418,7 @@ fn the_status_tells_each_item_in_turn_and_why_a_frame_was_refused() {
     use trueup_link::layout::STATUS_ID;
     use trueup_link::status::{Item, Reason, decode};
     let mut node = Node::new(Some(tests_calibration()), false);
-    node.note_reset(ResetReason::Watchdog);
+    node.note_start(Start { reason: ResetReason::Watchdog, ..Start::default() });
     node.note_free_stack(4_000);
     let statuses = |node: &mut Node<'_>, ms| -> Vec<_> {
         let said = pass(node, ms);

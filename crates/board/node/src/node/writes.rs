@@ -29,7 +29,7 @@ pub(super) struct Log {
 }
 
 impl Log {
-    pub fn speaks(&mut self, line: Interface) {
+    pub(crate) fn speaks(&mut self, line: Interface) {
         self.speaker = Some(line);
     }
 

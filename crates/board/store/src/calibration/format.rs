@@ -4,7 +4,7 @@ use trueup_core::{learned::Caps, units::Temperature};
 use trueup_link::layout::{NANOMETRES_PER_BIT, OFFSET_MAX_RAW};
 
 /// Bytes of the fixed part.
-pub const FIXED_SIZE: usize = 604;
+pub(crate) const FIXED_SIZE: usize = 604;
 /// The largest blob in bytes: a slot of the board's flash.
 pub const MAX_SIZE: usize = 16_384;
 /// The first four bytes.

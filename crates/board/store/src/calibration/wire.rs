@@ -91,7 +91,7 @@ impl<'o> Writer<'o> {
     }
 
     /// A byte in the head of the present term.
-    pub fn term_byte(&mut self, number: usize, byte: u8) {
+    pub(crate) fn term_byte(&mut self, number: usize, byte: u8) {
         if let Some(place) = self.out.get_mut(self.term.saturating_add(number)) {
             *place = byte;
         }
@@ -149,7 +149,7 @@ impl<'b> Reader<'b> {
     }
 
     /// Refuses a number that stands for nothing.
-    pub fn refuse_value<T>(&mut self, offset: usize, found: impl Into<u32>) -> Option<T> {
+    pub(crate) fn refuse_value<T>(&mut self, offset: usize, found: impl Into<u32>) -> Option<T> {
         self.refuse(BlobError::Value { offset, found: found.into() });
         None
     }
@@ -178,7 +178,7 @@ impl<'b> Reader<'b> {
     }
 
     /// Returns a byte in the head of the present term.
-    pub fn term_byte(&self, number: usize) -> u8 {
+    pub(crate) fn term_byte(&self, number: usize) -> u8 {
         self.blob.get(self.term.saturating_add(number)).copied().unwrap_or_default()
     }
 

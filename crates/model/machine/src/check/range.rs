@@ -21,7 +21,8 @@ use crate::{
 };
 use table::REVERSED_OR_DIRECTION;
 
-pub use table::{RANGES, Range};
+pub(crate) use table::RANGES;
+pub use table::Range;
 
 /// How far a value is from what a machine has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use crate::{file::Machine, location::BadInput};
 
 /// A part of a calibration further than this from the model, in nm anywhere in its range, is
 /// refused.
-pub const LARGEST_DIFFERENCE_NM: f64 = 2.0;
+pub(crate) const LARGEST_DIFFERENCE_NM: f64 = 2.0;
 
 /// The compiled parts of a machine, each with its largest difference from the model.
 pub(super) struct Account<'m> {

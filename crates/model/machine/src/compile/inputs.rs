@@ -29,7 +29,7 @@ const TENTHS: f64 = 10.0;
 const DELIVERED_PER_COUNT: f64 = 256.0;
 
 /// The inputs of a machine that comes from a calibration: one count is one ADC code, exactly.
-pub const SHOWN_INPUT: SensorInput =
+pub(crate) const SHOWN_INPUT: SensorInput =
     SensorInput { volts_full_scale: 10.0, counts_full_scale: 4096.0, divider: 0.33 };
 
 /// Returns the channel of a temperature column that the section `key` uses.

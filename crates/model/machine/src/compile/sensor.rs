@@ -37,7 +37,7 @@ pub(crate) const UM_PER_COUNT_OF_NO_SLOPE: f64 = 1e-12;
 /// Returns the elongation in nm that `law` gives at full resolution: before the board rounds the reading
 /// and the result.
 #[must_use]
-pub fn stored_law_nm(law: &SensorLaw, reading: f64) -> f64 {
+pub(crate) fn stored_law_nm(law: &SensorLaw, reading: f64) -> f64 {
     let slope_nm = f64::from(law.slope.0) / SLOPE_ONE;
     f64::from(law.k0.0) + (reading - f64::from(law.zero.0)) * slope_nm
 }

@@ -22,7 +22,7 @@ use crate::{
 
 /// The slowest feed at which a correction is followed, in mm/s: 30 mm/min, about the slowest that anything
 /// is finished at (a cutter of 1 mm: 2 teeth of 3 µm at 5000 r/min).
-pub const SLOWEST_FEED_MM_PER_S: f64 = 0.5;
+pub(crate) const SLOWEST_FEED_MM_PER_S: f64 = 0.5;
 
 /// A slope over an axis.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -87,7 +87,7 @@ pub fn of_curve(spline: &BSpline) -> Slope {
 
 /// Returns the steepest slope of a cause with its values over any axis, at a lever of 1 m where it tilts.
 #[must_use]
-pub fn of_effect(effect: &Effect) -> Slope {
+pub(crate) fn of_effect(effect: &Effect) -> Slope {
     effect.on_board().iter().map(of_form).fold(Slope::default(), Slope::or)
 }
 

@@ -13,7 +13,7 @@ use crate::file::{
 pub const TIME_CONSTANTS: usize = 12;
 /// The same where a constant is corrected by a factor: the next point of a coarse grid may be worse
 /// than none.
-pub const FINE_TIME_CONSTANTS: usize = 3 * TIME_CONSTANTS;
+pub(crate) const FINE_TIME_CONSTANTS: usize = 3 * TIME_CONSTANTS;
 
 /// Nonlinear values to begin from; one empty list where there are none.
 #[derive(Clone, Debug, PartialEq)]
@@ -135,7 +135,7 @@ impl dyn DataView + '_ {
 
     /// Returns whether the own axis is moved by a screw that nothing looks after.
     #[must_use]
-    pub fn has_screw(&self) -> bool {
+    pub(crate) fn has_screw(&self) -> bool {
         self.own_axis().is_some_and(|axis| axis.feedback == Feedback::Screw)
     }
 
@@ -153,14 +153,14 @@ impl dyn DataView + '_ {
 
     /// Returns whether the own axis has a thermal law whose thermometer has moved.
     #[must_use]
-    pub fn thermal_in_use(&self) -> Option<&Thermal> {
+    pub(crate) fn thermal_in_use(&self) -> Option<&Thermal> {
         self.thermal().filter(|thermal| self.varies(&thermal.sensor))
     }
 
     /// Returns the lag that is believed between the thermometer and the growth by it, in s; `None` where no
     /// growth goes by a thermometer that has moved.
     #[must_use]
-    pub fn believed_lag_s(&self) -> Option<f64> {
+    pub(crate) fn believed_lag_s(&self) -> Option<f64> {
         match (self.thermal_in_use(), self.source()) {
             (Some(thermal), _) => Some(thermal.lag_s),
             (None, Some(ElongationSource::Temperature)) => {
@@ -172,7 +172,7 @@ impl dyn DataView + '_ {
 
     /// Returns the columns of the positions of the other axes that have moved, for an axis's error.
     #[must_use]
-    pub fn other_axes(&self) -> Vec<LinearAxis> {
+    pub(crate) fn other_axes(&self) -> Vec<LinearAxis> {
         let Some(own) = self.quantity().axis() else { return Vec::new() };
         let others = LinearAxis::ALL.into_iter();
         others.filter(|&axis| axis != own && self.varies(&format!("{}_mm", axis.name()))).collect()

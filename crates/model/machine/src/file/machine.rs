@@ -145,7 +145,7 @@ fn read_board(written: &str) -> Option<[u32; 3]> {
 
 /// Returns a chip's number as it is written: 24 hexadecimal digits, the highest first.
 #[must_use]
-pub fn board_text([low, middle, high]: [u32; 3]) -> String {
+fn board_text([low, middle, high]: [u32; 3]) -> String {
     format!("{high:08x}{middle:08x}{low:08x}")
 }
 

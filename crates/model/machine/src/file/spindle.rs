@@ -120,7 +120,7 @@ impl Warmup {
 
     /// Returns the time constant with which the spindle cools, in s.
     #[must_use]
-    pub fn cooling_time_constant_s(&self) -> f64 {
+    pub(crate) fn cooling_time_constant_s(&self) -> f64 {
         self.cool_s.unwrap_or_else(|| self.time_constant_s())
     }
 }

@@ -8,7 +8,7 @@ use crate::{
 
 /// Returns the term that the list of `[spindle.tools]` is.
 #[must_use]
-pub fn growth_by_tool(list: &Tools) -> Term {
+pub(crate) fn growth_by_tool(list: &Tools) -> Term {
     let levels = |tool: &Tool| {
         let code = tool.label.as_deref().map(label_code);
         let um = tool.um_per_krpm2;

@@ -60,7 +60,12 @@ impl Lag {
     }
 
     /// Returns the same with two time constants, in s: while y rises, and while it falls.
-    pub fn step_either_way(&mut self, rise_fall_s: [f64; 2], time_s: f64, value: f64) -> f64 {
+    pub(crate) fn step_either_way(
+        &mut self,
+        rise_fall_s: [f64; 2],
+        time_s: f64,
+        value: f64,
+    ) -> f64 {
         if rise_fall_s == [0.0; 2] {
             return value;
         }

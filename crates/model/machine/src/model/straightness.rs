@@ -44,7 +44,7 @@ pub fn spline_um(spline: &BSpline, position_mm: f64) -> f64 {
 /// Returns how much each control point weighs at `position_mm`: the number of the first of as many as the
 /// order says, and their weights, which add up to 1. All NaN where [`spline_um`] is.
 #[must_use]
-pub fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
+pub(crate) fn spline_weights(spline: &BSpline, position_mm: f64) -> (usize, [f64; 4]) {
     let Some(at) = Segment::of(spline, position_mm) else { return (0, [f64::NAN; 4]) };
     let weight = |number: usize| {
         let mut d = [0.0; 4];

@@ -2,7 +2,7 @@
 
 /// A column that is known.
 #[derive(Clone, Copy, Debug)]
-pub struct KnownColumn {
+pub(crate) struct KnownColumn {
     /// Its name; `<name>` stands for any word.
     pub name: &'static str,
     /// Its unit, or the values that it may have; empty where it is a bare number.
@@ -23,7 +23,7 @@ const MEASURED: &str = "the error on an axis, actual minus commanded";
 const OFFSET: &str = "what a bridge told the CNC to add while the row was measured";
 
 /// All of them, in the order of the reference.
-pub const KNOWN_COLUMNS: &[KnownColumn] = &[
+pub(crate) const KNOWN_COLUMNS: &[KnownColumn] = &[
     known("time_s", "s", "time"),
     known(
         "gauge_time_s",

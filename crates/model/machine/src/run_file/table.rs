@@ -11,7 +11,7 @@ pub const MAX_BYTES: u64 = 1 << 30;
 pub const MAX_COLUMNS: usize = 4096;
 
 /// The most values that a run file may have, rows times columns: a million rows of fifty columns.
-pub const MAX_VALUES: usize = 50_000_000;
+pub(crate) const MAX_VALUES: usize = 50_000_000;
 
 /// One column of a run.
 #[derive(Clone, Debug)]

@@ -10,7 +10,7 @@ use crate::{
 impl RunFile {
     /// Returns the label that a value of the column `tool` stands for, if it is one.
     #[must_use]
-    pub fn tool_label(&self, value: f64) -> Option<&str> {
+    pub(crate) fn tool_label(&self, value: f64) -> Option<&str> {
         self.labels.iter().find(|(code, _)| *code == value).map(|(_, label)| label.as_str())
     }
 

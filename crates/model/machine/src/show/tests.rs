@@ -5,7 +5,7 @@ use trueup_core::{
 };
 
 use super::*;
-use crate::compile::Compiled;
+use crate::compile::{Compiled, SHOWN_INPUT};
 
 const PAPER: &str = include_str!("../../../../../data/paper_spindle.toml");
 

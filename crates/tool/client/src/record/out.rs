@@ -11,7 +11,7 @@ use anyhow::{Context as _, Result};
 use crate::Unusable;
 
 /// A file that is being written.
-pub struct Out {
+pub(crate) struct Out {
     /// Where it stands.
     pub path: PathBuf,
     file: BufWriter<File>,
@@ -42,7 +42,7 @@ impl Out {
     }
 
     /// Writes spaces over the bytes at this place.
-    pub fn blank(&mut self, at: u64, length: usize) -> Result<()> {
+    pub(crate) fn blank(&mut self, at: u64, length: usize) -> Result<()> {
         let mut blank = || {
             self.file.seek(SeekFrom::Start(at))?;
             self.file.write_all(&vec![b' '; length])?;

@@ -16,7 +16,7 @@ use std::{
 use fs4::{FileExt, TryLockError};
 
 /// The oldest server that can synchronise always.
-pub const OLDEST: (u32, u32) = (2, 10);
+pub(crate) const OLDEST: (u32, u32) = (2, 10);
 
 /// The address of a server, its folder, and the login that it asks for.
 #[derive(Clone)]

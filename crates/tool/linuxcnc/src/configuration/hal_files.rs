@@ -27,7 +27,7 @@ pub struct HalCommand {
 
 /// A signal that a pin is on.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Link {
+pub(crate) struct Link {
     /// Name of the signal.
     pub signal: String,
     /// The line that connects the pin.
@@ -86,19 +86,19 @@ impl HalFiles {
 
     /// Returns the signal that a pin is on after the HAL files.
     #[must_use]
-    pub fn link(&self, pin: &str) -> Option<Link> {
+    pub(crate) fn link(&self, pin: &str) -> Option<Link> {
         links(&self.commands).remove(pin)
     }
 
     /// Returns the signal that a pin is on after the HAL files or after what comes later.
     #[must_use]
-    pub fn link_at_last(&self, pin: &str) -> Option<Link> {
+    pub(crate) fn link_at_last(&self, pin: &str) -> Option<Link> {
         self.link(pin).or_else(|| links(&self.late).remove(pin))
     }
 
     /// Returns the line that names a pin after the HAL files.
     #[must_use]
-    pub fn late_use(&self, pin: &str) -> Option<Location> {
+    pub(crate) fn late_use(&self, pin: &str) -> Option<Location> {
         let names = |command: &&HalCommand| command.words.iter().skip(1).any(|word| word == pin);
         self.late.iter().find(names).map(|command| command.place.clone())
     }
@@ -157,7 +157,7 @@ impl HalFiles {
 }
 
 /// The function of LinuxCNC's motion controller.
-pub const CONTROLLER: &str = "motion-controller";
+pub(crate) const CONTROLLER: &str = "motion-controller";
 
 /// A thread whose order is not known: no `addf` of the motion controller, or a bad position, with its line.
 #[derive(Clone, Debug, PartialEq, Eq)]

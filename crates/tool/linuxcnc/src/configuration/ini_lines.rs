@@ -4,7 +4,7 @@
 //! line of a key wins, except for keys that may repeat (`HALFILE`); `#INCLUDE file` at the beginning of a line of the
 //! INI file itself is replaced by that file, whose own `#INCLUDE` lines are comments.
 //!
-//! Lines between [`BEGIN`] and [`END`] are those of `trueup linuxcnc setup`.
+//! Lines between `BEGIN` and [`END`] are those of `trueup linuxcnc setup`.
 
 use std::{
     fs,
@@ -14,7 +14,7 @@ use std::{
 use trueup_machine::{BadInput, Location, bounded, file::MAX_BYTES};
 
 /// The first line of what setup has added.
-pub const BEGIN: &str = "# >>> trueup linuxcnc setup; --remove takes these lines out";
+pub(crate) const BEGIN: &str = "# >>> trueup linuxcnc setup; --remove takes these lines out";
 /// The last line of what setup has added.
 pub const END: &str = "# <<< trueup linuxcnc setup";
 const INCLUDE: &str = "#INCLUDE";
@@ -41,7 +41,7 @@ pub struct Value {
 impl Value {
     /// Returns the words before a comment.
     #[must_use]
-    pub fn without_comment(&self) -> &str {
+    pub(crate) fn without_comment(&self) -> &str {
         self.text.split(['#', ';']).next().unwrap_or_default().trim()
     }
 }
@@ -142,20 +142,20 @@ impl IniLines {
 
     /// Returns the place of a section's header; the start of the file if there is none.
     #[must_use]
-    pub fn place_of_section(&self, section: &str) -> Location {
+    pub(crate) fn place_of_section(&self, section: &str) -> Location {
         self.header_of(section).unwrap_or_else(|| Location::start_of(&self.path))
     }
 
     /// Returns the place of a section's header.
     #[must_use]
-    pub fn header_of(&self, section: &str) -> Option<Location> {
+    pub(crate) fn header_of(&self, section: &str) -> Option<Location> {
         let line = self.lines.iter().find(|line| header(&line.text) == Some(section));
         line.map(|line| line.place.clone())
     }
 
     /// Returns a second section of a name whose first one counts alone.
     #[must_use]
-    pub fn second_header_of(&self, section: &str) -> Option<Location> {
+    pub(crate) fn second_header_of(&self, section: &str) -> Option<Location> {
         let same = self.lines.iter().filter(|line| header(&line.text) == Some(section));
         same.skip(1).map(|line| line.place.clone()).next()
     }
@@ -171,17 +171,11 @@ impl IniLines {
         }
         files
     }
-
-    /// Returns true if setup has written lines here.
-    #[must_use]
-    pub fn has_ours(&self) -> bool {
-        self.lines.iter().any(|line| line.is_ours)
-    }
 }
 
 /// Returns the folder of a file, `.` for a bare name.
 #[must_use]
-pub fn folder_of(path: &Path) -> &Path {
+pub(crate) fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),

@@ -1,6 +1,6 @@
 //! Puts offsets into a configuration, and takes them out again.
 //!
-//! Setup adds whole lines between [`BEGIN`] and [`END`] and two HAL files; everything else stays as it is to the byte,
+//! Setup adds whole lines between `BEGIN` and [`END`] and two HAL files; everything else stays as it is to the byte,
 //! also a last line without an end, and line ends of DOS. So taking them out needs no copy, and edits that were made
 //! meanwhile survive. A copy of each file as it was before the first setup is kept all the same.
 

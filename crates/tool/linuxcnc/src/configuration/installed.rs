@@ -9,7 +9,7 @@ use super::{
 };
 
 /// The section of the INI file.
-pub const SECTION: &str = "TRUEUP";
+pub(crate) const SECTION: &str = "TRUEUP";
 
 /// Where the bridge is, and what it was loaded with.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,7 +2,7 @@
 //!
 //! An offset at the joint is added to what the planner commands. The planner uses `MAX_VELOCITY` and `MAX_ACCELERATION`
 //! of the joint to the full, so the offset may use only what the drive has above them: its headroom, which the INI file
-//! states as `STEPGEN_MAXVEL` and `STEPGEN_MAXACCEL`. Where one is missing or 0, [`ASSUMED`] is assumed.
+//! states as `STEPGEN_MAXVEL` and `STEPGEN_MAXACCEL`. Where one is missing or 0, `ASSUMED` is assumed.
 
 use trueup_machine::{BadInput, Location};
 
@@ -13,11 +13,11 @@ use crate::{
 };
 
 /// Headroom of a drive whose INI file states none, as a share of what the planner uses.
-pub const ASSUMED: f64 = 0.2;
+pub(crate) const ASSUMED: f64 = 0.2;
 /// Below this share of headroom an offset is slow enough for a warning.
 pub const SMALL: f64 = 0.05;
 /// A reversal of this length measures how fast an offset is.
-pub const REVERSAL_UM: f64 = 6.0;
+pub(crate) const REVERSAL_UM: f64 = 6.0;
 /// Joints move by this where the INI file states no `MAX_VELOCITY` or `MAX_ACCELERATION`, in machine units.
 const LINUXCNC_DEFAULT: f64 = 1.0;
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
@@ -72,14 +72,14 @@ impl Joint {
 
     /// Returns the fastest change of an offset in mm/s, not above `slew_mm_per_s`.
     #[must_use]
-    pub fn offset_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
+    pub(crate) fn offset_mm_per_s(&self, slew_mm_per_s: f64, mm_per_unit: f64) -> f64 {
         slew_mm_per_s.min(self.velocity.left() * mm_per_unit)
     }
 }
 
 /// Returns the time of a jump of an offset from rest to rest, in seconds; infinite where it cannot move.
 #[must_use]
-pub fn reversal_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
+pub(crate) fn reversal_s(way_mm: f64, mm_per_s: f64, mm_per_s2: f64) -> f64 {
     if mm_per_s <= 0.0 || mm_per_s2 <= 0.0 {
         return f64::INFINITY;
     }

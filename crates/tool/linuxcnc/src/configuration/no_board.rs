@@ -11,9 +11,9 @@ use trueup_machine::{
 use super::inputs::NamedInput;
 
 /// The file of the heat, next to the INI file: written while LinuxCNC runs.
-pub const HEAT: &str = "trueup_heat.bin";
+pub(crate) const HEAT: &str = "trueup_heat.bin";
 /// The file of the calibration, next to the INI file.
-pub const CALIBRATION: &str = "trueup_calibration.bin";
+pub(crate) const CALIBRATION: &str = "trueup_calibration.bin";
 
 /// Settings and inputs of the component, from the machine file.
 #[derive(Clone, Debug, PartialEq)]

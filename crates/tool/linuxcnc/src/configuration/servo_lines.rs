@@ -25,7 +25,7 @@ use crate::ini::Ini;
 /// The realtime component.
 pub const MODULE: &str = "trueup_node";
 /// Its function.
-pub const FUNCTION: &str = "trueup.0";
+pub(crate) const FUNCTION: &str = "trueup.0";
 /// After this time without a heartbeat the temperatures of a program count as missing.
 pub(super) const TEMPERATURE_TIMEOUT_MS: u32 = 2_000;
 const UM_PER_MM: f64 = 1e3;

@@ -40,16 +40,16 @@ use super::{
 use crate::ini::Ini;
 
 /// The HAL file that is loaded once.
-pub const REALTIME: &str = "trueup_realtime.hal";
+pub(crate) const REALTIME: &str = "trueup_realtime.hal";
 /// The HAL file that may be loaded again when the component has ended.
-pub const COMPONENT: &str = "trueup.hal";
+pub(crate) const COMPONENT: &str = "trueup.hal";
 /// First line of both.
-pub const WRITTEN: &str =
+pub(crate) const WRITTEN: &str =
     "# Written by trueup linuxcnc setup; --remove takes it out. Changes are lost.";
 const MICROMETRES_PER_MILLIMETRE: f64 = 1e3;
 const LOWER: [&str; 3] = ["x", "y", "z"];
 /// The instance of `moveoff`; its channels are the joints of X, Y and Z in the order of their numbers.
-pub const LIMITER: &str = "trueup-mv";
+pub(crate) const LIMITER: &str = "trueup-mv";
 
 /// Returns the pin that keeps a joint's reference while the component is gone: an input that is never selected.
 pub(crate) fn kept_at(joint: usize) -> String {
@@ -59,9 +59,9 @@ pub(crate) fn kept_at(joint: usize) -> String {
 /// The text of the two HAL files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wiring {
-    /// Text of [`REALTIME`].
+    /// Text of `REALTIME`.
     pub realtime: String,
-    /// Text of [`COMPONENT`].
+    /// Text of `COMPONENT`.
     pub component: String,
 }
 

@@ -50,7 +50,7 @@ impl Ball {
     }
 
     /// Returns how far from the centre of a ball the tip is where it does not touch, in mm.
-    pub fn clear_mm(&self, probing: &Probing) -> f64 {
+    pub(crate) fn clear_mm(&self, probing: &Probing) -> f64 {
         self.apart_mm + probing.search_mm
     }
 

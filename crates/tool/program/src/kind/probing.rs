@@ -104,7 +104,7 @@ impl Probing {
     }
 
     /// Returns a place for another stylus: a longer one stands back by what it is longer.
-    pub fn with_tool(&self, mut at_mm: [f64; 3], length_mm: Option<f64>) -> [f64; 3] {
+    pub(crate) fn with_tool(&self, mut at_mm: [f64; 3], length_mm: Option<f64>) -> [f64; 3] {
         let first = self.tool_lengths_mm[0];
         let longer = length_mm.zip(first).map_or(0.0, |(length, first)| length - first);
         at_mm[self.tool] = micrometres(at_mm[self.tool] + self.retract * longer);
@@ -112,7 +112,7 @@ impl Probing {
     }
 
     /// Returns the place at which the tool is retracted.
-    pub fn retracted_mm(&self) -> f64 {
+    pub(crate) fn retracted_mm(&self) -> f64 {
         self.travels[self.tool].start_and_far_mm()[0]
     }
 

@@ -17,7 +17,7 @@ const COLUMN: usize = 11;
 const NAMES: usize = 16;
 
 /// Who is spoken to, whether it is recorded, how good its offsets are, what the sensor reads.
-pub fn top(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn top(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut lines = title(state, theme, width);
     lines.extend(recording(state, theme, width));
     lines.extend(quality(state, theme, width));
@@ -199,7 +199,7 @@ pub fn offsets(state: &State, theme: Theme, with_shares: bool) -> Vec<Line<'stat
 }
 
 /// Temperatures and the line.
-pub fn below(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn below(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let mut lines = temperatures(state, theme, width);
     lines.extend(conditions(state, width));
     lines.extend(link(state, theme, width));
@@ -254,7 +254,7 @@ fn link(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
 }
 
 /// Returns what is wrong, each with what to do, wrapped between words.
-pub fn alarms(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
+pub(crate) fn alarms(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
     let troubles = state.alarms();
     if troubles.is_empty() {
         let received = state.output().is_some();
@@ -276,7 +276,7 @@ pub fn alarms(state: &State, theme: Theme, width: usize) -> Vec<Line<'static>> {
 }
 
 /// Returns a text in lines of this width, broken between words.
-pub fn wrapped(text: &str, width: usize, style: Style) -> Vec<Line<'static>> {
+pub(crate) fn wrapped(text: &str, width: usize, style: Style) -> Vec<Line<'static>> {
     // Two spaces between words stay two.
     let words = text.split_inclusive(' ').fold(Vec::<String>::new(), |mut words, word| {
         match words.last_mut() {

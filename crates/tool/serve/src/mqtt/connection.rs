@@ -43,7 +43,7 @@ pub enum Happened {
 }
 
 /// A connection, from its beginning to its end.
-pub struct Connection {
+pub(crate) struct Connection {
     client: Client,
     events: Receiver<Result<Event, String>>,
     /// The records among the requests that the library has not sent; it sends them in order.
@@ -111,7 +111,7 @@ impl Connection {
     }
 
     /// Publishes at least once; false: there is no place.
-    pub fn publish_record(&mut self, record: Record) -> bool {
+    pub(crate) fn publish_record(&mut self, record: Record) -> bool {
         let Record { topic, payload, number, .. } = record;
         let is_taken = self.client.try_publish(topic, QoS::AtLeastOnce, false, payload).is_ok();
         if is_taken {
@@ -126,7 +126,7 @@ impl Connection {
     }
 
     /// Subscribes.
-    pub fn subscribe(&self, topic: &str, qos: QoS) {
+    pub(crate) fn subscribe(&self, topic: &str, qos: QoS) {
         // If there is no place the connection is about to end.
         self.client.try_subscribe(topic, qos).ok();
     }

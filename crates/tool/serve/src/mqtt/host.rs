@@ -3,7 +3,7 @@
 use serde_json::Value;
 
 /// A host application, as far as it has said how it is.
-pub struct PrimaryHost {
+pub(crate) struct PrimaryHost {
     is_online: bool,
     /// The time in its last message, in ms since 1970.
     at_ms: u64,
@@ -16,7 +16,7 @@ impl PrimaryHost {
     }
 
     /// Returns whether it is there.
-    pub fn is_online(&self) -> bool {
+    pub(crate) fn is_online(&self) -> bool {
         self.is_online
     }
 

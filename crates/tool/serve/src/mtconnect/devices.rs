@@ -1,4 +1,4 @@
-//! `Devices.xml`: what an agent must know of the data items of [`shdr`](super::shdr).
+//! `Devices.xml`: what an agent must know of the data items of `shdr`.
 
 use std::fmt::Write as _;
 
@@ -8,7 +8,7 @@ use crate::snapshot::Identity;
 
 /// Returns the description of these bridges of an edge node.
 #[must_use]
-pub fn xml(name: &str, bridges: &[Identity], time: &str) -> String {
+pub(crate) fn xml(name: &str, bridges: &[Identity], time: &str) -> String {
     let devices: String = bridges
         .iter()
         .zip(1..)

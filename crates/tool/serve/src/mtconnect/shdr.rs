@@ -32,7 +32,7 @@ struct Condition {
 
 /// The lines of some bridges.
 #[derive(Debug, Default)]
-pub struct Lines {
+pub(crate) struct Lines {
     known: Vec<Known>,
 }
 

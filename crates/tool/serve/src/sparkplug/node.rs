@@ -23,7 +23,7 @@ const ALIASES: u64 = 1_000;
 /// The metric of the number of a connection.
 const BD_SEQ: &str = "bdSeq";
 /// The metric by which a publisher knows its own births.
-pub const PUBLISHER: &str = "Properties/Publisher";
+pub(crate) const PUBLISHER: &str = "Properties/Publisher";
 
 /// A message to be published.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -78,7 +78,7 @@ impl Node {
     }
 
     /// Counts a new connection; returns its number.
-    pub fn begin_connection(&mut self) -> u8 {
+    pub(crate) fn begin_connection(&mut self) -> u8 {
         self.bd_seq = self.bd_seq.wrapping_add(1);
         self.forget();
         self.bd_seq
@@ -121,7 +121,7 @@ impl Node {
     }
 
     /// Returns all births: after the broker has accepted the connection, and when a host asks for them.
-    pub fn rebirth(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
+    pub(crate) fn rebirth(&mut self, own: Own, bridges: &[Snapshot], time_ms: u64) -> Vec<Message> {
         self.forget();
         self.update(own, bridges, time_ms)
     }
@@ -149,7 +149,7 @@ impl Node {
 
     /// Returns whether anything but numbers, counts and flags of offsets differs from what was last said.
     #[must_use]
-    pub fn has_other_words(&self, bridges: &[Snapshot]) -> bool {
+    pub(crate) fn has_other_words(&self, bridges: &[Snapshot]) -> bool {
         let known = self.devices.iter().map(|it| &it.said);
         bridges.len() != self.devices.len()
             || known.zip(bridges).any(|(said, of)| {

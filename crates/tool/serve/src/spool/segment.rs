@@ -3,7 +3,7 @@
 //!
 //! | bytes | are |
 //! |---|---|
-//! | 4 | [`MARK`] |
+//! | 4 | `MARK` |
 //! | 4 | length of topic and payload with the 2 bytes before them, little-endian as all numbers |
 //! | 8 | number, rising by 1 |
 //! | 8 | time, ms since 1970 (UTC) |
@@ -16,7 +16,7 @@
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 /// Begins a record: where one is damaged, the next one is searched for by it.
-pub const MARK: [u8; 4] = *b"tqR1";
+pub(crate) const MARK: [u8; 4] = *b"tqR1";
 /// Bytes before the topic's length.
 const HEAD: usize = 24;
 /// Bytes around topic and payload.

@@ -19,7 +19,7 @@ const ANSWER: Duration = Duration::from_secs(1);
 /// Counts lines to the board and its answers. While the board's time stands still, it says one end of a
 /// line for each line that it takes, and nothing else.
 #[derive(Default)]
-pub struct Opening {
+pub(crate) struct Opening {
     lines: AtomicU32,
     answers: AtomicU32,
     /// The number of the line with the first `O`, and its time.
@@ -28,7 +28,7 @@ pub struct Opening {
 
 impl Opening {
     /// Takes a line to the board, before it is written.
-    pub fn take_line(&self, opens: bool) {
+    pub(crate) fn take_line(&self, opens: bool) {
         let line = self.lines.fetch_add(1, Ordering::SeqCst) + 1;
         if opens {
             self.asked.get_or_init(|| (line, Instant::now()));
@@ -36,7 +36,7 @@ impl Opening {
     }
 
     /// Takes what the board says.
-    pub fn take_answers(&self, said: &[u8]) {
+    pub(crate) fn take_answers(&self, said: &[u8]) {
         let ends = said.iter().filter(|&&byte| is_end(byte)).count();
         self.answers.fetch_add(u32::try_from(ends).unwrap_or(0), Ordering::SeqCst);
     }

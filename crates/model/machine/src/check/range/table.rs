@@ -86,7 +86,7 @@ const ANY: f64 = 1e15;
 
 /// The ranges, in the order in which they are looked up.
 #[rustfmt::skip]
-pub const RANGES: &[Range] = &[
+pub(crate) const RANGES: &[Range] = &[
     // the spindle
     range("spindle.temperature.k_um_per_c", "µm/K", [-200.0, 200.0], [0.0, 30.0], [0.1, 15.0], GROWTH)
         .below(SHRINKS).above(NANOMETRES),
