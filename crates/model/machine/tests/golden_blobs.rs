@@ -14,11 +14,20 @@ use trueup_store::calibration::identity;
 
 #[test]
 fn the_shipped_machine_files_compile_to_the_bytes_they_always_did() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../data");
-    for (name, length, crc) in [("gantry", 2_126, 0x0CFD_D30C), ("paper_spindle", 613, 0xFD4A_DB36)]
-    {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..");
+    for (name, length, crc) in [
+        ("data/gantry", 2_126, 0x0CFD_D30C),
+        ("data/paper_spindle", 613, 0xFD4A_DB36),
+        ("data/mill/mill", 612, 0x694D_4946),
+        ("data/mill/volume", 612, 0xF0F7_69C0),
+        ("integrations/linuxcnc/trueup_gantry", 702, 0xF77C_C8FC),
+        ("integrations/linuxcnc/trueup_lathe", 639, 0xA2CA_CDD8),
+        ("host-tests/corpus/toml/all", 678, 0x4B50_B9CF),
+        ("host-tests/tests/chip_faults/machine", 634, 0xBBC2_338C),
+        ("crates/bench/emulator/src/linuxcnc/base", 626, 0xD53E_3EE6),
+    ] {
         let machine =
-            MachineFile::read(&data.join(name).with_extension("toml")).expect("it is shipped");
+            MachineFile::read(&root.join(name).with_extension("toml")).expect("it is shipped");
         let compiled = compile(&machine).expect("it fits the board");
         let blob = compiled.blob();
         assert_eq!((blob.len(), identity(blob)), (length, crc), "{name}");
