@@ -14,7 +14,7 @@ use crate::{
     units::Temperature,
 };
 
-/// What is farther from the smoothed value is no jitter, and is followed at once: half a kelvin, as in
+/// Largest difference from the smoothed value that counts as jitter; more is followed at once. Half a kelvin, as in
 /// [`thermal_rate`](crate::thermal_rate). So the first result of a converter, which may be far off, does not linger.
 const MAX_JITTER: u32 = Temperature::PER_KELVIN.unsigned_abs() / 2;
 

@@ -61,7 +61,7 @@ fn is_name_letter(letter: char) -> bool {
     u8::try_from(letter).is_ok_and(is_name)
 }
 
-/// What may stand before the word that declares an item.
+/// Returns whether a word may stand before the one that declares an item.
 fn is_modifier(word: &str) -> bool {
     word.starts_with("pub")
         || word.ends_with(')')
@@ -72,7 +72,7 @@ fn is_modifier(word: &str) -> bool {
 /// Draws `count` different names of a folder's source with this seed. Returns them and how many there are.
 ///
 /// # Errors
-/// A file cannot be read, or there are not so many names.
+/// A file cannot be read, or there are fewer names.
 pub fn drawn(root: &std::path::Path, count: usize, seed: u64) -> Result<(Vec<Name>, usize)> {
     let mut names = all(&super::source::all(root)?);
     names.sort_by(|a, b| a.name.cmp(&b.name));

@@ -1,4 +1,4 @@
-//! Public items that nothing outside their crate names: they promise what nobody needs, and the compiler cannot say whether
+//! Public items that nothing outside their crate names: they promise what is not needed, and the compiler cannot say whether
 //! they are dead.
 //!
 //! An item is used if its name stands in a crate that depends on its own, in a test, example or program of its own crate,

@@ -27,7 +27,7 @@ struct Positions {
     axis: &'static str,
     range_mm: [f64; 2],
     targets: u32,
-    /// How far a target is off its even place at the most: on multiples of the pitch its error would not show.
+    /// Largest distance of a target from its even place: on multiples of the pitch its error would not show.
     spread_mm: f64,
     cycles: u32,
     /// The curves of the other axes that it shows.

@@ -14,7 +14,7 @@ use trueup_virtual_bridge::{front_end::FrontEnd, replay};
 use super::plant::Cycle;
 
 const NANOMETRES_PER_MM: f64 = 1e6;
-/// The machine stands for so long before the first cycle, in ms: the offset has come, at the slew limit.
+/// Time for which the machine stands before the first cycle, in ms: the offset arrives at the slew limit.
 const ARRIVING_MS: usize = 2_000;
 /// Within the range of any sensor.
 const VOLTS: f64 = 1.5;

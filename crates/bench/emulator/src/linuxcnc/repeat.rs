@@ -49,7 +49,7 @@ impl Path {
     }
 }
 
-/// What is left of the backlash in a run, in percent less than without compensation, as the loop states it.
+/// Returns the reduction of the backlash in a run, in percent, as the loop states it.
 fn reduction_percent(compiled: &Compiled, file: &Machine, path: &Path, seed: u64) -> Result<f64> {
     let scenario = measured::twin()?;
     let mut with = Twin::new(&scenario, seed);
